@@ -1,0 +1,140 @@
+"""What a capture is, once understood: views, cameras, masks, polarisers, or a light stage. No pixels are read here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.cameras import Camera
+from pipeline.capture.config import CaptureConfig
+
+
+@dataclass(frozen=True)
+class PolariserPrior:
+    """What is known of one physical camera's polariser: angle (degrees, counter-clockwise as displayed) or None;
+    `trusted` False makes the angle a starting value; `extinction` is the ratio of the two transmissions (None: ideal)."""
+
+    angle_deg: float | None = None
+    trusted: bool = False
+    extinction: float | None = None
+
+
+@dataclass
+class DecodedView:
+    """One view in linear radiance: either `stokes` [H, W, 3 stokes, 3 rgb] or `rgb` [H, W, 3], float32.
+
+    saturated [H, W] bool; alpha [H, W] in 0..1 or None; noise: standard deviation of one stored sample (None: unknown);
+    design [n, 3]: rows of the polariser matrix that the Stokes vector was solved from (None: the file held Stokes).
+    """
+
+    stokes: NDArray[np.float32] | None = None
+    rgb: NDArray[np.float32] | None = None
+    saturated: NDArray[np.bool_] | None = None
+    alpha: NDArray[np.float32] | None = None
+    noise: float | None = None
+    design: NDArray[np.float64] | None = None
+    covariance: NDArray[np.float64] | None = None
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def s0(self) -> NDArray[np.float32]:
+        """Total radiance (or the plain image) [H, W, 3]."""
+        image = self.rgb if self.stokes is None else self.stokes[:, :, 0]
+        assert image is not None, "a decoded view holds Stokes or RGB"
+        return image
+
+
+@dataclass(frozen=True)
+class ViewSource:
+    """One view before decoding: its files, the physical camera behind it, and how to read it."""
+
+    view: str
+    paths: tuple[Path, ...]
+    camera: str
+    loader: Callable[[], DecodedView] = field(repr=False, compare=False)
+    size: tuple[int, int] | None = None
+
+    def read(self) -> DecodedView:
+        """Decode this view. Raises UserError naming the file that is unreadable, truncated or of another size."""
+        return self.loader()
+
+
+@dataclass(frozen=True)
+class LightTable:
+    """Directions from the stage's centre to each light (world, unit) [N, 3], positions [N, 3] in world units,
+    relative intensity [N], solid angle [N] in sr (None: to be computed from the directions)."""
+
+    directions: NDArray[np.float64]
+    positions: NDArray[np.float64]
+    intensity: NDArray[np.float64]
+    solid_angle: NDArray[np.float64] | None = None
+
+    def __len__(self) -> int:
+        return len(self.directions)
+
+
+@dataclass(frozen=True)
+class LightStageCamera:
+    """One light-stage camera: cross- and parallel-polarised frames in the order of the lights, its matte and its pose."""
+
+    name: str
+    cross: tuple[Path, ...]
+    parallel: tuple[Path, ...]
+    mask: Path | None
+    camera: Camera
+    full_light: tuple[Path, ...] = ()
+
+
+@dataclass(frozen=True)
+class LightStage:
+    """A one-light-at-a-time capture: cameras by name and the lights they share."""
+
+    root: Path
+    cameras: dict[str, LightStageCamera]
+    lights: LightTable
+
+
+@dataclass(frozen=True)
+class Capture:
+    """A capture folder, understood. `files` lists every input; nothing in it is ever written to.
+
+    masks: mask file per view, "alpha" (the images carry it), or None. colmap: folder of an existing COLMAP model.
+    clean_plates: background photographs by physical camera or view, for masks by difference.
+    """
+
+    root: Path
+    layout: str
+    kind: Literal["multiview", "light_stage"]
+    polarisation: Literal["stokes", "polarisers", "none"]
+    views: tuple[ViewSource, ...] = ()
+    light_stage: LightStage | None = None
+    environments: tuple[Path, ...] = ()
+    config: CaptureConfig = CaptureConfig()
+    up: str = "y"
+    cameras: dict[str, Camera] | None = None
+    masks: dict[str, Path] | Literal["alpha"] | None = None
+    colmap: Path | None = None
+    files: tuple[Path, ...] = ()
+    polarisers: dict[str, PolariserPrior] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+    facts: tuple[str, ...] = ()
+    clean_plates: dict[str, Path] = field(default_factory=dict)
+
+    @property
+    def camera_names(self) -> tuple[str, ...]:
+        """Physical cameras, sorted (a light stage: its camNN)."""
+        if self.light_stage is not None:
+            return tuple(sorted(self.light_stage.cameras))
+        return tuple(sorted({view.camera for view in self.views}))
+
+    def view(self, name: str) -> ViewSource:
+        """The view called `name`; KeyError if there is none."""
+        for view in self.views:
+            if view.view == name:
+                return view
+        raise KeyError(name)

@@ -1,0 +1,47 @@
+"""Which layout is this folder? Ask every reader, the more specific first."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from pipeline.capture.config import load_config
+from pipeline.capture.layouts import all_layouts
+from pipeline.capture.model import Capture
+from pipeline.errors import UserError
+
+SHOWN = 12
+"""Entries of an unknown folder that its error message lists."""
+
+
+def open_capture(path: Path | str) -> Capture:
+    """Recognise and validate the capture at `path`.
+
+    Raises UserError when the folder is missing, empty or of no known layout (listing what was looked for and what
+    was found), and whatever the recognised layout's reader finds wrong.
+    """
+    root = Path(os.path.abspath(path))
+    if not root.exists():
+        raise UserError(root, "there is no such folder", "give CAPTURE= the folder that holds the images")
+    if not root.is_dir():
+        raise UserError(root, "is a file, not a capture folder", "give CAPTURE= the folder that holds the images")
+    try:
+        entries = sorted(entry.name + ("/" if entry.is_dir() else "") for entry in os.scandir(root) if not entry.name.startswith("."))
+    except PermissionError:
+        raise UserError(root, "cannot be read: permission denied", "make the folder readable") from None
+    if not entries:
+        raise UserError(root, "the folder is empty", "give CAPTURE= a folder with images; docs/captures.md lists the layouts")
+    config = load_config(root)
+    layouts = all_layouts()
+    if config.layout is not None:
+        chosen = [layout for layout in layouts if layout.name == config.layout]
+        if not chosen:
+            names = ", ".join(layout.name for layout in layouts)
+            raise UserError(root / "capture.toml", f"layout = {config.layout!r} is not a layout", f"known: {names}")
+        return chosen[0].read(root, config)
+    for layout in layouts:
+        if layout.recognise(root):
+            return layout.read(root, config)
+    looked = "; ".join(f"{layout.name}: {layout.looks_like}" for layout in layouts)
+    found = ", ".join(entries[:SHOWN]) + (f" and {len(entries) - SHOWN} more" if len(entries) > SHOWN else "")
+    raise UserError(root, f"no known capture layout. Found: {found}. Looked for {looked}", "see docs/captures.md, or set `layout` in capture.toml")
