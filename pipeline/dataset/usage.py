@@ -1,0 +1,95 @@
+"""What a run of a stage costs: wall and CPU seconds over all its legs, and peak memory with its children."""
+
+from __future__ import annotations
+
+import json
+import os
+import threading
+import time
+from pathlib import Path
+
+PAGE = os.sysconf("SC_PAGE_SIZE")
+
+
+def _children() -> dict[int, list[int]]:
+    """Child process ids by parent, for the processes one can see."""
+    out: dict[int, list[int]] = {}
+    for entry in os.listdir("/proc"):
+        if entry.isdigit():
+            try:
+                parent = int(Path(f"/proc/{entry}/stat").read_text().rpartition(")")[2].split()[1])
+            except (OSError, IndexError, ValueError):
+                continue  # it ended meanwhile
+            out.setdefault(parent, []).append(int(entry))
+    return out
+
+
+def _resident_bytes() -> int:
+    """Resident memory of this process and all its descendants."""
+    tree, queue, total = _children(), [os.getpid()], 0
+    while queue:
+        pid = queue.pop()
+        queue += tree.get(pid, [])
+        try:
+            total += int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * PAGE
+        except (OSError, IndexError):
+            continue  # it ended meanwhile
+    return total
+
+
+def _own_peak_bytes() -> int:
+    for line in Path("/proc/self/status").read_text().splitlines():
+        if line.startswith("VmHWM:"):
+            return int(line.split()[1]) * 1024
+    return 0
+
+
+class Usage:
+    """Watches this process from `start` to `stop`; survives kills by noting its figures beside the checkpoints."""
+
+    INTERVAL_S = 0.5
+
+    def __init__(self, record: Path) -> None:
+        self.record = record
+        try:
+            self.before = json.loads(record.read_text())
+        except (OSError, ValueError):
+            self.before = {"started": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()), "wall_s": 0.0, "cpu_s": 0.0}
+            self.before["peak_rss_mb"] = 0.0
+        self.peak = 0
+        self.started = time.monotonic()
+        self.cpu = self._cpu_s()
+        self._done = threading.Event()
+        self._thread = threading.Thread(target=self._watch, daemon=True)
+        self._thread.start()
+
+    @staticmethod
+    def _cpu_s() -> float:
+        t = os.times()
+        return t.user + t.system + t.children_user + t.children_system
+
+    def _watch(self) -> None:
+        while not self._done.wait(self.INTERVAL_S):
+            self.peak = max(self.peak, _resident_bytes())
+            aside = self.record.with_suffix(".new")
+            try:
+                aside.write_text(json.dumps(self.figures()))
+                aside.replace(self.record)
+            except OSError:
+                continue  # a full disk will be reported by the stage itself
+
+    def figures(self) -> dict[str, float | str]:
+        """Start time, wall_s, cpu_s and peak_rss_mb over all legs so far."""
+        peak = max(self.peak, _own_peak_bytes()) / 2**20
+        return {
+            "started": self.before["started"],
+            "wall_s": round(self.before["wall_s"] + time.monotonic() - self.started, 3),
+            "cpu_s": round(self.before["cpu_s"] + self._cpu_s() - self.cpu, 3),
+            "peak_rss_mb": round(max(self.before["peak_rss_mb"], peak), 1),
+        }
+
+    def stop(self) -> dict[str, float | str]:
+        """End the watch and return the figures."""
+        self._done.set()
+        self._thread.join()
+        return self.figures()

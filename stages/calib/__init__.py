@@ -1,0 +1,1 @@
+"""Calibration: decode (files to linear Stokes or RGB) and poses (cameras)."""

@@ -1,0 +1,1 @@
+"""The poses stage; its description is in `stage`."""

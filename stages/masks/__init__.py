@@ -1,0 +1,1 @@
+"""The masks stage; its description is in `stage`."""

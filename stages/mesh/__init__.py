@@ -1,0 +1,1 @@
+"""The mesh stage; its description is in `stage`."""

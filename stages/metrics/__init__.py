@@ -1,0 +1,1 @@
+"""The metrics stage; its description is in `stage`."""

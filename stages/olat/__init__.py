@@ -1,0 +1,1 @@
+"""The olat stage; its description is in `stage`."""

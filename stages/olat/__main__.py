@@ -1,0 +1,5 @@
+"""`python -m stages.olat`: the olat stage alone."""
+
+from pipeline.cli import stage_main
+
+stage_main("olat")

@@ -1,0 +1,1 @@
+"""The relight stage; its description is in `stage`."""
