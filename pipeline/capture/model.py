@@ -30,6 +30,8 @@ class DecodedView:
 
     saturated [H, W] bool; alpha [H, W] in 0..1 or None; noise: standard deviation of one stored sample (None: unknown);
     design [n, 3]: rows of the polariser matrix that the Stokes vector was solved from (None: the file held Stokes).
+    covariance [3, 3] of (s0, s1, s2) for samples of unit variance. faults: what was found wrong, with a pixel count
+    (0 where the fault is the file's, not of pixels).
     """
 
     stokes: NDArray[np.float32] | None = None
@@ -39,7 +41,7 @@ class DecodedView:
     noise: float | None = None
     design: NDArray[np.float64] | None = None
     covariance: NDArray[np.float64] | None = None
-    warnings: tuple[str, ...] = ()
+    faults: dict[str, int] = field(default_factory=dict)
 
     @property
     def s0(self) -> NDArray[np.float32]:

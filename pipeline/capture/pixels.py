@@ -1,0 +1,133 @@
+"""One image file to linear radiance: encoding, levels, exposure; no tone curve, no guessing from pixel values."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.capture.config import RadiometryConfig
+from pipeline.capture.files import FLOAT_SUFFIXES, RAW_SUFFIXES
+from pipeline.errors import UserError
+from pipeline.images import _first_line, _open, srgb_decode
+
+DEFAULT_SATURATION = 0.98
+"""Of the white level: sensors bend before they clip."""
+
+
+@dataclass
+class LinearImage:
+    """Linear pixels [H, W, C] float32 with their channel names; saturated [H, W]; orientation is EXIF's (1 upright)."""
+
+    pixels: NDArray[np.float32]
+    names: tuple[str, ...]
+    saturated: NDArray[np.bool_]
+    bits: int
+    orientation: int = 1
+    exposure_s: float | None = None
+    encoding: str = "linear"
+
+    def channels(self, wanted: Sequence[str], path: Path) -> NDArray[np.float32]:
+        """The named channels [H, W, len(wanted)], case ignored. Raises UserError naming what the file has."""
+        lower = [name.lower() for name in self.names]
+        missing = [name for name in wanted if name.lower() not in lower]
+        if missing:
+            raise UserError(path, f"no channel {', '.join(missing)} (it has {', '.join(self.names)})", "export it with these channels")
+        index = [lower.index(name.lower()) for name in wanted]
+        if index == list(range(index[0], index[0] + len(index))):
+            return self.pixels[..., index[0] : index[0] + len(index)]
+        return self.pixels[..., index]
+
+    def rgb(self, path: Path) -> NDArray[np.float32]:
+        """Colour [H, W, 3]; a single channel is grey."""
+        lower = [name.lower() for name in self.names]
+        if all(name in lower for name in "rgb"):
+            return self.channels(("R", "G", "B"), path)
+        grey = [name for name in self.names if name.lower() in ("y", "l", "i", "gray", "luminance")]
+        if grey or len(self.names) == 1:
+            return np.repeat(self.channels((grey or [self.names[0]])[:1], path), 3, axis=-1)
+        raise UserError(path, f"no colour channels (it has {', '.join(self.names)})", "export R, G, B or S0.R .. S2.B")
+
+    @property
+    def alpha(self) -> NDArray[np.float32] | None:
+        """The alpha channel [H, W], or None."""
+        lower = [name.lower() for name in self.names]
+        return self.pixels[..., lower.index("a")] if "a" in lower else None
+
+
+def read_linear(path: Path, radiometry: RadiometryConfig, sensor_data: bool = False) -> LinearImage:
+    """Read any image file as linear radiance, float32 in the file's own orientation (EXIF rotation is not applied).
+
+    8-bit files are sRGB unless `sensor_data` (a mosaic straight from the sensor) or capture.toml says linear; 16-bit
+    and float files are linear. Levels of capture.toml (`black_level`, `white_level`) map to 0 and 1. Raises UserError.
+    """
+    if path.suffix.lower() in RAW_SUFFIXES:
+        from pipeline.capture.raw import read_raw_rgb
+
+        return read_raw_rgb(path, radiometry)
+    image = _open(path)
+    spec = image.spec()
+    kind = str(spec.format)
+    bits = {"uint8": 8, "uint16": 16, "uint32": 32}.get(kind, 0)
+    if bits and "A" in spec.channelnames:
+        image.close()
+        image = _open_unassociated(path)
+    pixels = image.read_image("float")
+    error = _first_line(image.geterror()) if pixels is None else ""
+    orientation = int(spec.get_int_attribute("Orientation", 1))
+    exposure = float(spec.get_float_attribute("ExposureTime", 0.0)) or None
+    if path.suffix.lower() == ".hdr":
+        orientation = 1
+    image.close()
+    if pixels is None:
+        raise UserError(path, f"the image is truncated or corrupt ({error})", "copy it again from its source")
+    pixels = np.asarray(pixels, np.float32).reshape(spec.height, spec.width, -1)
+    names = tuple(spec.channelnames)
+    colour = [i for i, name in enumerate(names) if name.lower() != "a"]
+    saturated = np.zeros(pixels.shape[:2], bool)
+    encoding = radiometry.encoding or ("srgb" if bits == 8 and not sensor_data else "linear")
+    if bits or radiometry.white_level is not None:
+        full = float(2**bits - 1) if bits else 1.0
+        white = (radiometry.white_level if radiometry.white_level is not None else full) / full
+        black = (radiometry.black_level or 0.0) / full
+        limit = white * (radiometry.saturation or (1.0 if encoding == "srgb" else DEFAULT_SATURATION))
+        saturated = (pixels[..., colour] >= limit).any(-1)
+        if (black, white) != (0.0, 1.0):
+            pixels[..., colour] = (pixels[..., colour] - np.float32(black)) / np.float32(white - black)
+    elif radiometry.black_level:
+        pixels[..., colour] -= np.float32(radiometry.black_level)
+    if encoding == "srgb" and path.suffix.lower() not in FLOAT_SUFFIXES:
+        pixels[..., colour] = srgb_decode(pixels[..., colour])
+    return LinearImage(pixels, names, saturated, bits, orientation, exposure, encoding)
+
+
+def _open_unassociated(path: Path):  # noqa: ANN202 - an OpenImageIO.ImageInput, imported lazily
+    """Open with alpha not multiplied into colour, as PNG stores it."""
+    import OpenImageIO as oiio
+
+    config = oiio.ImageSpec()
+    config.attribute("oiio:UnassociatedAlpha", 1)
+    return oiio.ImageInput.open(str(path), config)
+
+
+def fill_holes(image: NDArray[np.float32]) -> NDArray[np.bool_] | None:
+    """Replace non-finite pixels of [H, W, ...] in place by their nearest finite neighbour (zero if there is none).
+
+    Returns where they were [H, W], or None if there were none.
+    """
+    # A float64 sum of float32 values cannot overflow: it is finite exactly when every element is.
+    if np.isfinite(image.sum(dtype=np.float64)):
+        return None
+    flat = image.reshape(*image.shape[:2], -1)
+    holes = ~np.isfinite(flat).all(-1)
+    if holes.all():
+        flat[:] = 0
+        return holes
+    from scipy.ndimage import distance_transform_edt
+
+    row, column = distance_transform_edt(holes, return_distances=False, return_indices=True)
+    flat[holes] = flat[row[holes], column[holes]]
+    return holes

@@ -1,0 +1,80 @@
+"""Loaders for files that hold Stokes vectors or plain colour already."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.capture.config import CaptureConfig
+from pipeline.capture.frame import apply_stokes_config
+from pipeline.capture.model import DecodedView
+from pipeline.capture.pixels import LinearImage, fill_holes, read_linear
+from pipeline.errors import UserError
+from pipeline.images import STOKES
+
+GREY_STOKES = (("S0.Y", "S1.Y", "S2.Y"), ("S0", "S1", "S2"))
+
+
+def holds_stokes(names: list[str] | tuple[str, ...]) -> bool:
+    """Whether these channel names are a Stokes image (colour or grey)."""
+    lower = {name.lower() for name in names}
+    return any(all(c.lower() in lower for c in wanted) for wanted in (STOKES, *GREY_STOKES))
+
+
+def stokes_of(image: LinearImage, path: Path) -> NDArray[np.float32]:
+    """The Stokes channels [H, W, 3 stokes, 3 rgb]; grey ones are repeated. Raises UserError naming what is missing."""
+    lower = {name.lower() for name in image.names}
+    for wanted in GREY_STOKES:
+        if all(c.lower() in lower for c in wanted):
+            return np.repeat(image.channels(wanted, path)[..., None], 3, axis=-1)
+    flat = np.ascontiguousarray(image.channels(STOKES, path))
+    return flat.reshape(*flat.shape[:2], 3, 3)
+
+
+def stokes_exr_loader(path: Path, config: CaptureConfig) -> Callable[[], DecodedView]:
+    """A loader of one Stokes EXR."""
+
+    def load() -> DecodedView:
+        image = read_linear(path, replace(config.radiometry, encoding="linear"))
+        stokes = apply_stokes_config(stokes_of(image, path), config.stokes)
+        return finished(DecodedView(stokes=stokes, saturated=image.saturated, alpha=image.alpha), path)
+
+    return load
+
+
+def rgb_loader(path: Path, config: CaptureConfig, view: str = "") -> Callable[[], DecodedView]:
+    """A loader of one colour image of any format, as linear radiance; divided by its exposure where one is told."""
+
+    def load() -> DecodedView:
+        image = read_linear(path, config.radiometry)
+        rgb = np.ascontiguousarray(image.rgb(path))
+        exposure = config.radiometry.exposure_s.get(view) or config.radiometry.exposure_s.get(path.stem)
+        if exposure:
+            rgb = rgb / np.float32(exposure)
+        if config.radiometry.white_balance:
+            rgb = rgb * np.asarray(config.radiometry.white_balance, np.float32)
+        return finished(DecodedView(rgb=rgb, saturated=image.saturated, alpha=image.alpha), path, image)
+
+    return load
+
+
+def finished(view: DecodedView, path: Path, image: LinearImage | None = None) -> DecodedView:
+    """Fill what is not finite (marking it saturated), and name what a user should know of this file."""
+    pixels = view.stokes if view.stokes is not None else view.rgb
+    assert pixels is not None
+    holes = fill_holes(pixels)
+    if holes is not None:
+        if holes.all():
+            raise UserError(path, "holds no finite pixel", "render or export it again")
+        view.faults["not finite: filled from the nearest pixel and marked as saturated"] = int(holes.sum())
+        view.saturated = holes if view.saturated is None else view.saturated | holes
+    if image is not None and image.orientation != 1:
+        view.faults[f"EXIF rotation {image.orientation} is not applied: frames stay as the sensor saw them"] = 0
+    if image is not None and image.bits == 8:
+        how = "sRGB" if image.encoding == "srgb" else "linear"
+        view.faults[f"8 bits a channel, taken as {how}: polarisation wants linear 16-bit or float files"] = 0
+    return view
