@@ -1,0 +1,48 @@
+"""Quadrature on the sphere: product Gauss rules, solid angles of cube-map texels and latitude-longitude
+pixels (numpy, float64)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Float = NDArray[np.float64]
+
+
+def sphere_rule(n: int) -> tuple[Float, Float]:
+    """Directions [2n^2, 3] and weights [2n^2] (sr, sum 4 pi): Gauss-Legendre in y, uniform in azimuth;
+    degree 2n-1 exact."""
+    y, w = np.polynomial.legendre.leggauss(n)
+    phi = (np.arange(2 * n) + 0.5) * np.pi / n
+    s = np.sqrt(1 - y * y)
+    d = np.stack((s[:, None] * np.cos(phi), np.broadcast_to(y[:, None], (n, 2 * n)), s[:, None] * np.sin(phi)), axis=-1)
+    return d.reshape(-1, 3), np.repeat(w * np.pi / n, 2 * n)
+
+
+def hemisphere_rule(n: int, m: int) -> tuple[Float, Float]:
+    """Directions [n*m, 3] about +z and weights (sr, sum 2 pi): Gauss-Legendre in the cosine, m azimuths."""
+    x, w = np.polynomial.legendre.leggauss(n)
+    z, w = (x + 1) / 2, w / 2
+    phi = (np.arange(m) + 0.5) * 2 * np.pi / m
+    s = np.sqrt(1 - z * z)
+    d = np.stack((s[:, None] * np.cos(phi), s[:, None] * np.sin(phi), np.broadcast_to(z[:, None], (n, m))), axis=-1)
+    return d.reshape(-1, 3), np.repeat(w * 2 * np.pi / m, m)
+
+
+def _corner_area(x: Float, y: Float) -> Float:
+    """Solid angle between the centre of a cube face (at distance 1) and its point (x, y)."""
+    return np.arctan2(x * y, np.sqrt(x * x + y * y + 1))
+
+
+def cube_solid_angles(resolution: int) -> Float:
+    """Exact solid angles of one face's texels [R, R] (sr); six faces sum to 4 pi."""
+    edge = np.linspace(-1, 1, resolution + 1)
+    a = _corner_area(edge[None, :], edge[:, None])
+    return a[1:, 1:] - a[1:, :-1] - a[:-1, 1:] + a[:-1, :-1]
+
+
+def latlong_solid_angles(height: int, width: int) -> Float:
+    """Exact solid angles of the rows' pixels [H] (sr); H x W pixels sum to 4 pi."""
+    v = np.arange(height + 1) * np.pi / height
+    # cos a - cos b = 2 sin((a+b)/2) sin((b-a)/2): no cancellation in the polar rows
+    return 2 * np.sin((v[:-1] + v[1:]) / 2) * np.sin(np.pi / height / 2) * 2 * np.pi / width

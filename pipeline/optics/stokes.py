@@ -1,0 +1,85 @@
+"""Linear Stokes vectors s = (s0, s1, s2) on the last axis, in radiance units; angles counter-clockwise from
+the frame's x.
+
+s1 = I(0) - I(90 deg), s2 = I(45 deg) - I(135 deg); a pixel's frame is x right, y up as the image is
+displayed.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from array_api_compat import array_namespace
+
+Array = Any
+
+
+def degree(stokes: Array) -> Array:
+    """Degree of linear polarisation |(s1, s2)|/s0, [..., 3] -> [...]; 0 where s0 <= 0. Noise can take it
+    above 1."""
+    xp = array_namespace(stokes)
+    s0 = stokes[..., 0]
+    lit = s0 > 0
+    length = xp.hypot(stokes[..., 1], stokes[..., 2])
+    return xp.where(lit, length / xp.where(lit, s0, xp.ones_like(s0)), xp.zeros_like(s0))
+
+
+def angle(stokes: Array) -> Array:
+    """Angle of linear polarisation atan2(s2, s1)/2 in (-pi/2, pi/2] (rad), [..., 3] -> [...]; 0 for
+    unpolarised light."""
+    xp = array_namespace(stokes)
+    return xp.atan2(stokes[..., 2], stokes[..., 1]) / 2
+
+
+def angle_difference(a: Array, b: Array) -> Array:
+    """Smallest difference |a - b| of two polarisation angles, which repeat every pi (rad), in [0, pi/2]."""
+    xp = array_namespace(a, b)
+    d = xp.abs(a - b) % xp.pi
+    return xp.minimum(d, xp.pi - d)
+
+
+def polariser_row(theta: Array, extinction: float | Array = float("inf")) -> Array:
+    """Row (1, k cos 2t, k sin 2t)/2 of a polariser's Mueller matrix seen by a sensor (PhyGaP Eq. 31), [...]
+    -> [..., 3].
+
+    theta: transmission axis (rad). extinction: ratio of the principal transmittances; k = (e-1)/(e+1), and
+    the row is scaled so that the open transmittance stays 1 (an ideal polariser has e = inf, k = 1).
+    """
+    xp = array_namespace(theta)
+    k = 1 - 2 / (extinction + 1)
+    one = xp.ones_like(theta)
+    return xp.stack((one, k * xp.cos(2 * theta), k * xp.sin(2 * theta)), axis=-1) / 2
+
+
+def rotate(stokes: Array, phi: Array) -> Array:
+    """The same light described in a frame turned by +phi (rad, counter-clockwise), [..., 3]."""
+    xp = array_namespace(stokes, phi)
+    c, s = xp.cos(2 * phi), xp.sin(2 * phi)
+    s0, s1, s2 = stokes[..., 0], stokes[..., 1], stokes[..., 2]
+    return xp.stack((s0, c * s1 + s * s2, c * s2 - s * s1), axis=-1)
+
+
+def frame(ray: Array, up: Array) -> tuple[Array, Array]:
+    """Stokes axes (x, y) of pixels: x = N(ray x up), y = x cross ray; x to the right, y up as displayed.
+
+    ray [..., 3]: unit, away from the camera, world; up [..., 3]: the camera's up axis, world (its -y in
+    OpenCV axes). Undefined where ray is parallel to up (90 degrees off the optical axis).
+    """
+    xp = array_namespace(ray, up)
+    up = up + 0 * ray
+    x = xp.linalg.cross(ray, up, axis=-1)
+    x = x / xp.sqrt(xp.sum(x * x, axis=-1, keepdims=True))
+    return x, xp.linalg.cross(x, ray, axis=-1)
+
+
+def surface_pattern(normal: Array, frame_x: Array, frame_y: Array) -> tuple[Array, Array]:
+    """(nx^2 - ny^2, 2 nx ny) of the normal projected on the frame: sin^2(theta) (cos 2phi, sin 2phi), [...,
+    3] -> [...].
+
+    Times +beta_d/sin^2 it gives (s1, s2)/s0 of light from the body, times -beta_s/sin^2 of mirrored light
+    (PhyGaP Eqs. 7-8).
+    """
+    xp = array_namespace(normal, frame_x, frame_y)
+    x = xp.sum(normal * frame_x, axis=-1)
+    y = xp.sum(normal * frame_y, axis=-1)
+    return (x - y) * (x + y), 2 * x * y
