@@ -187,17 +187,31 @@ def _check(config: CaptureConfig, path: Path) -> None:
     refuse(config.unit_m is not None and config.unit_m <= 0, "unit_m", config.unit_m, "above 0")
     refuse(config.stokes.scale == 0, "stokes.scale", config.stokes.scale, "a factor other than 0")
     radiometry = config.radiometry
-    refuse(radiometry.encoding not in (None, "linear", "srgb"), "radiometry.encoding", radiometry.encoding, '"linear" or "srgb"')
+    refuse(
+        radiometry.encoding not in (None, "linear", "srgb"), "radiometry.encoding", radiometry.encoding, '"linear" or "srgb"'
+    )
     refuse(radiometry.saturation is not None and not 0 < radiometry.saturation <= 1,
            "radiometry.saturation", radiometry.saturation, "a fraction of the white level in (0, 1]")  # fmt: skip
     for view, seconds in radiometry.exposure_s.items():
         refuse(seconds <= 0, f"radiometry.exposure_s.{view}", seconds, "above 0 seconds")
     balance = radiometry.white_balance
-    refuse(balance is not None and (len(balance) != 3 or min(balance) <= 0), "radiometry.white_balance", balance, "three positive factors")
+    refuse(
+        balance is not None and (len(balance) != 3 or min(balance) <= 0),
+        "radiometry.white_balance",
+        balance,
+        "three positive factors",
+    )
     mosaic = config.mosaic
-    refuse(len(mosaic.order) != 4 or len({a % 180 for a in mosaic.order}) < 3, "mosaic.order", mosaic.order, "four angles, three of them different")
+    refuse(
+        len(mosaic.order) != 4 or len({a % 180 for a in mosaic.order}) < 3,
+        "mosaic.order",
+        mosaic.order,
+        "four angles, three of them different",
+    )
     refuse(mosaic.colour not in (None, "mono", "bayer"), "mosaic.colour", mosaic.colour, '"mono" or "bayer"')
-    refuse(mosaic.bayer.upper() not in ("RGGB", "BGGR", "GRBG", "GBRG"), "mosaic.bayer", mosaic.bayer, "RGGB, BGGR, GRBG or GBRG")
+    refuse(
+        mosaic.bayer.upper() not in ("RGGB", "BGGR", "GRBG", "GBRG"), "mosaic.bayer", mosaic.bayer, "RGGB, BGGR, GRBG or GBRG"
+    )
     refuse(mosaic.demosaic not in ("residual", "bilinear"), "mosaic.demosaic", mosaic.demosaic, '"residual" or "bilinear"')
     refuse(config.olat.irradiance <= 0, "olat.irradiance", config.olat.irradiance, "above 0")
     for name, polariser in config.polarisers.items():

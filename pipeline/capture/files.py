@@ -107,7 +107,9 @@ def find_masks(root: Path, views: Mapping[str, Path], folder: Path) -> tuple[dic
     if not found:
         sample = list_images(where, PHOTO_SUFFIXES)[0].name
         first = next(iter(views.values())).name
-        raise UserError(where, f"none of its masks belongs to an image (mask {sample}, image {first})", "name each mask like its image")
+        raise UserError(
+            where, f"none of its masks belongs to an image (mask {sample}, image {first})", "name each mask like its image"
+        )
     missing = sorted(set(views) - set(found))
     warnings = []
     if missing:
@@ -124,7 +126,9 @@ def check_masks(masks: Mapping[str, Path], size_of: Callable[[str], tuple[int, i
         have, want = image_size(mask), size_of(view)
         if have != want:
             turned = " (turned by 90°: images are read as stored, without EXIF rotation)" if have == want[::-1] else ""
-            raise UserError(mask, f"is {have[0]}x{have[1]}, its image is {want[0]}x{want[1]}{turned}", "make the mask in the image's size")
+            raise UserError(
+                mask, f"is {have[0]}x{have[1]}, its image is {want[0]}x{want[1]}{turned}", "make the mask in the image's size"
+            )
 
 
 def polariser_priors(cameras: Iterable[str], config: CaptureConfig, root: Path) -> dict[str, PolariserPrior]:
@@ -132,7 +136,9 @@ def polariser_priors(cameras: Iterable[str], config: CaptureConfig, root: Path) 
     names = sorted(set(cameras))
     unknown = sorted(set(config.polarisers) - set(names))
     if unknown:
-        raise UserError(root / "capture.toml", f"polarisers.{unknown[0]}: no camera has this name", f"the cameras are {', '.join(names)}")
+        raise UserError(
+            root / "capture.toml", f"polarisers.{unknown[0]}: no camera has this name", f"the cameras are {', '.join(names)}"
+        )
     out = {}
     for name in names:
         told = config.polarisers.get(name)

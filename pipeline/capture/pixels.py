@@ -35,7 +35,9 @@ class LinearImage:
         lower = [name.lower() for name in self.names]
         missing = [name for name in wanted if name.lower() not in lower]
         if missing:
-            raise UserError(path, f"no channel {', '.join(missing)} (it has {', '.join(self.names)})", "export it with these channels")
+            raise UserError(
+                path, f"no channel {', '.join(missing)} (it has {', '.join(self.names)})", "export it with these channels"
+            )
         index = [lower.index(name.lower()) for name in wanted]
         if index == list(range(index[0], index[0] + len(index))):
             return self.pixels[..., index[0] : index[0] + len(index)]
@@ -104,7 +106,7 @@ def read_linear(path: Path, radiometry: RadiometryConfig, sensor_data: bool = Fa
     return LinearImage(pixels, names, saturated, bits, orientation, exposure, encoding)
 
 
-def _open_unassociated(path: Path):  # noqa: ANN202 - an OpenImageIO.ImageInput, imported lazily
+def _open_unassociated(path: Path):
     """Open with alpha not multiplied into colour, as PNG stores it."""
     import OpenImageIO as oiio
 

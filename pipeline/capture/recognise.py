@@ -26,7 +26,9 @@ def open_capture(path: Path | str) -> Capture:
     if not root.is_dir():
         raise UserError(root, "is a file, not a capture folder", "give CAPTURE= the folder that holds the images")
     try:
-        entries = sorted(entry.name + ("/" if entry.is_dir() else "") for entry in os.scandir(root) if not entry.name.startswith("."))
+        entries = sorted(
+            entry.name + ("/" if entry.is_dir() else "") for entry in os.scandir(root) if not entry.name.startswith(".")
+        )
     except PermissionError:
         raise UserError(root, "cannot be read: permission denied", "make the folder readable") from None
     if not entries:
@@ -44,4 +46,8 @@ def open_capture(path: Path | str) -> Capture:
             return layout.read(root, config)
     looked = "; ".join(f"{layout.name}: {layout.looks_like}" for layout in layouts)
     found = ", ".join(entries[:SHOWN]) + (f" and {len(entries) - SHOWN} more" if len(entries) > SHOWN else "")
-    raise UserError(root, f"no known capture layout. Found: {found}. Looked for {looked}", "see docs/captures.md, or set `layout` in capture.toml")
+    raise UserError(
+        root,
+        f"no known capture layout. Found: {found}. Looked for {looked}",
+        "see docs/captures.md, or set `layout` in capture.toml",
+    )

@@ -36,7 +36,11 @@ def read(root: Path, config: CaptureConfig) -> Capture:
         # Numbered images name their camera; anything else has to match one to one.
         numbers = [int(p.stem) if p.stem.isdigit() else -1 for p in images]
         if min(numbers) < 0 or len(set(numbers)) != len(numbers):
-            raise UserError(root / PARAMETERS, f"holds {count(extrinsics, 'camera')} for {count(images, 'image')}", "give each image its camera")
+            raise UserError(
+                root / PARAMETERS,
+                f"holds {count(extrinsics, 'camera')} for {count(images, 'image')}",
+                "give each image its camera",
+            )
         stray = [p.name for p, n in zip(images, numbers) if n >= len(extrinsics)]
         if stray:
             warnings.append(f"{folder}: no camera for {some(stray)}; left out")
@@ -53,7 +57,9 @@ def read(root: Path, config: CaptureConfig) -> Capture:
         size = image_size(path)
         want = (int(table["image_width"]), int(table["image_height"]))
         if size != want:
-            raise UserError(path, f"is {size[0]}x{size[1]}, {PARAMETERS} says {want[0]}x{want[1]}", "render it again in that size")
+            raise UserError(
+                path, f"is {size[0]}x{size[1]}, {PARAMETERS} says {want[0]}x{want[1]}", "render it again in that size"
+            )
         cameras[path.stem] = Camera(*size, float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2]), extrinsics[index])
         views.append(ViewSource(path.stem, (path,), "camera", stokes_exr_loader(path, config), size))
     by_view = {v.view: v.paths[0] for v in views}
@@ -79,7 +85,9 @@ def load_parameters(path: Path) -> dict[str, np.ndarray]:
         raise UserError(path, f"has no {', '.join(missing)}", "write the file as PhyGaP's renderer does")
     extrinsics = table["extrinsics"]
     if extrinsics.ndim != 3 or extrinsics.shape[1:] not in ((4, 4), (3, 4)):
-        raise UserError(path, f"extrinsics have the shape {extrinsics.shape}, not (views, 4, 4)", "write world-to-camera matrices")
+        raise UserError(
+            path, f"extrinsics have the shape {extrinsics.shape}, not (views, 4, 4)", "write world-to-camera matrices"
+        )
     if extrinsics.shape[1] == 3:
         bottom = np.broadcast_to([[[0.0, 0.0, 0.0, 1.0]]], (len(extrinsics), 1, 4))
         table["extrinsics"] = np.concatenate([extrinsics, bottom], axis=1)

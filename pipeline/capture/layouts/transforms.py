@@ -72,7 +72,11 @@ def read(root: Path, config: CaptureConfig) -> Capture:
             frame["w"], frame["h"] = size
         camera = camera_from_frame(frame, table, root / FILE)
         if (camera.width, camera.height) != size:
-            raise UserError(path, f"is {size[0]}x{size[1]}, its camera in {FILE} is {camera.width}x{camera.height}", "give the camera the image's size")
+            raise UserError(
+                path,
+                f"is {size[0]}x{size[1]}, its camera in {FILE} is {camera.width}x{camera.height}",
+                "give the camera the image's size",
+            )
         cameras[view] = camera
         loader = stokes_exr_loader(path, config) if stokes else rgb_loader(path, config, view)
         views.append(ViewSource(view, (path,), camera.name, loader, size))
@@ -127,7 +131,11 @@ def find_images(root: Path, frames: list[dict[str, Any]], warnings: list[str]) -
         else:
             missing.append(frame["file_path"])
     if not found:
-        raise UserError(root / FILE, f"none of its {len(frames)} images is there (first: {missing[0]})", "put the images where file_path says")
+        raise UserError(
+            root / FILE,
+            f"none of its {len(frames)} images is there (first: {missing[0]})",
+            "put the images where file_path says",
+        )
     if missing:
         warnings.append(f"{root / FILE}: no image for {count(missing, 'camera')} ({some(missing)}); left out")
     return found
@@ -152,4 +160,6 @@ def all_have_alpha(paths: list[Path]) -> bool:
     return all(p.suffix.lower() in (".png", ".tif", ".tiff", ".exr") and "A" in channel_names(p) for p in paths)
 
 
-LAYOUT = Layout("transforms", "transforms.json and its images (Stokes EXR, RGB behind polarisers, or photographs)", recognise, read)
+LAYOUT = Layout(
+    "transforms", "transforms.json and its images (Stokes EXR, RGB behind polarisers, or photographs)", recognise, read
+)

@@ -1,0 +1,112 @@
+"""olat.json: where a light stage's frames lie, its lights and cameras, and the level at which frames are clipped."""
+
+from __future__ import annotations
+
+import json
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline.cameras import opengl_from_camera
+from pipeline.capture import LightStage, LightStageCamera
+from pipeline.capture.files import some
+from pipeline.errors import UserError
+from pipeline.images import read_image
+from pipeline.stage import StageRun
+from stages.calib.decode.plateau import PlateauSearch
+
+BATCH = 8
+
+
+def index_light_stage(stage: StageRun) -> None:
+    """Write olat.json; every frame is read once, for its size, bad samples and the clip level."""
+    light_stage = stage.capture.light_stage
+    assert light_stage is not None
+    root = stage.capture.root
+    frames = [(camera, path) for camera in light_stage.cameras.values() for path in (*camera.cross, *camera.parallel)]
+    search, tops, bad = PlateauSearch(), {}, {}
+
+    def look(item: tuple[LightStageCamera, Path]) -> tuple[Path, np.ndarray, int]:
+        camera, path = item
+        pixels = read_image(path)
+        if pixels.shape[:2] != (camera.camera.height, camera.camera.width):
+            fault = f"is {pixels.shape[1]}x{pixels.shape[0]}, the camera's other frames {camera.camera.width}x{camera.camera.height}"
+            raise UserError(path, fault, "export every frame of a camera in one size")
+        finite = np.isfinite(pixels)
+        wrong = int(pixels.size - np.count_nonzero(finite))
+        return path, np.where(finite, pixels, 0) if wrong else pixels, wrong
+
+    with stage.progress.bar("looking at light-stage frames", len(frames), "frames") as bar:
+        with ThreadPoolExecutor(max(1, stage.jobs)) as pool:
+            for start in range(0, len(frames), BATCH):  # a bound on the frames in memory
+                for path, pixels, wrong in pool.map(look, frames[start : start + BATCH]):
+                    search.add(pixels)
+                    tops[path] = float(pixels.max(initial=0.0))
+                    if wrong:
+                        bad[path] = wrong
+                    bar.advance()
+    level = _told_level(stage) or search.level()
+    clipped = [path for path, top in tops.items() if level is not None and top >= level]
+    samples = _clipped_fraction(clipped, level, frames)
+    if bad:
+        first = sorted(bad)[0]
+        stage.warn(f"{first}: {sum(bad.values())} samples in {len(bad)} frames are not finite; the fit leaves them out")
+    black = [p for p, top in tops.items() if not top > 0]
+    if len(black) == len(tops):
+        raise UserError(root, "every light-stage frame is black", "check the export")
+    if black:
+        stage.warn(f"{sorted(black)[0]}: {len(black)} frames are black ({some(p.name for p in sorted(black))})")
+    stage.note("saturated_frames", len(clipped))
+    (stage.output / "olat.json").write_text(json.dumps(_table(light_stage, root, level, samples), indent=1) + "\n")
+
+
+def _told_level(stage: StageRun) -> float | None:
+    radiometry = stage.capture.config.radiometry
+    if radiometry.white_level is None:
+        return None
+    return radiometry.white_level * (radiometry.saturation or 1.0)
+
+
+def _clipped_fraction(clipped: list[Path], level: float | None, frames: list[tuple[LightStageCamera, Path]]) -> float:
+    """Share of all samples at or above the level."""
+    if level is None or not frames:
+        return 0.0
+    over = sum(int(np.count_nonzero(read_image(path) >= np.float32(level))) for path in clipped)
+    total = sum(camera.camera.width * camera.camera.height * 3 for camera, _ in frames)
+    return over / max(1, total)
+
+
+def _table(light_stage: LightStage, root: Path, level: float | None, fraction: float) -> dict[str, Any]:
+    def relative(path: Path | None) -> str | None:
+        return None if path is None else path.relative_to(root).as_posix()
+
+    lights = light_stage.lights
+    cameras = {}
+    for name, camera in sorted(light_stage.cameras.items()):
+        c = camera.camera
+        cameras[name] = {
+            "cross": [relative(p) for p in camera.cross],
+            "parallel": [relative(p) for p in camera.parallel],
+            "mask": relative(camera.mask),
+            "full_light": [relative(p) for p in camera.full_light],
+            "width": c.width,
+            "height": c.height,
+            "camera": {
+                "fl_x": c.fx, "fl_y": c.fy, "cx": c.cx, "cy": c.cy, "w": c.width, "h": c.height,
+                "distortion": list(c.distortion), "transform_matrix": opengl_from_camera(c.world_to_camera).tolist(),
+            },
+        }  # fmt: skip
+    return {
+        "schema": 1,
+        "cameras": cameras,
+        "lights": {
+            "directions": lights.directions.tolist(),
+            "positions": lights.positions.tolist(),
+            "intensity": lights.intensity.tolist(),
+            "solid_angle": None if lights.solid_angle is None else lights.solid_angle.tolist(),
+        },
+        "saturated_fraction": fraction,
+        "saturation_level": level,
+    }

@@ -1,0 +1,68 @@
+"""Decode: every view as linear Stokes or colour EXR; light-stage frames stay where they are and are indexed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from pipeline.capture import Capture
+from pipeline.stage import Decision, Stage, StageRun
+
+
+@dataclass(frozen=True)
+class DecodeParameters:
+    """How frames are written."""
+
+    precision: Literal["auto", "half", "float"] = field(
+        default="auto", metadata={"help": "of the frames: half floats where they hold the values, or always one"}
+    )
+    physics_checks: bool = field(
+        default=True, metadata={"help": "test polariser order and angle zero against physics and say what was found"}
+    )
+
+
+def needed(capture: Capture, parameters: DecodeParameters) -> Decision:
+    """Always: every later stage reads linear frames, or the index of a light stage."""
+    if capture.kind == "light_stage":
+        return Decision(True, "light-stage frames are indexed where they lie")
+    what = {
+        "stokes": "full Stokes: no polariser angles to find",
+        "polarisers": f"colour behind {len(capture.camera_names)} polarisers: (s0, s1, s2) is left to training",
+        "none": "plain colour: no polarisation",
+    }[capture.polarisation]
+    return Decision(True, what)
+
+
+def capture_files(capture: Capture) -> Iterable[Path]:
+    """Everything that carries pixels or says what they mean; of a light stage also tables, cameras and mattes."""
+    if capture.kind == "light_stage":
+        return [p for p in capture.files if p not in capture.environments]
+    paths = [p for view in capture.views for p in view.paths]
+    radiometry = capture.config.radiometry
+    return paths + [capture.root / p for p in (radiometry.dark_frame, radiometry.flat_field) if p]
+
+
+def run(stage: StageRun) -> None:
+    """Fill frames/ and frames.json, or olat.json."""
+    if stage.capture.kind == "light_stage":
+        from stages.calib.decode.olat_index import index_light_stage
+
+        index_light_stage(stage)
+    else:
+        from stages.calib.decode.frames import decode_views
+
+        decode_views(stage)
+
+
+STAGE = Stage(
+    name="decode",
+    version=1,
+    parameters=DecodeParameters,
+    needs=(),
+    needed=needed,
+    run=run,
+    capture_files=capture_files,
+    config=("stokes", "radiometry", "mosaic", "stack", "polarisers", "olat"),
+)

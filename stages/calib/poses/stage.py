@@ -1,0 +1,78 @@
+"""Poses: given cameras written out, or found with COLMAP on polariser-independent images."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from pipeline.capture import Capture
+from pipeline.stage import Decision, Stage, StageRun
+
+
+@dataclass(frozen=True)
+class PosesParameters:
+    """How cameras are found where the capture has none."""
+
+    matching: Literal["auto", "exhaustive", "sequential"] = field(
+        default="auto", metadata={"help": "image pairs to match: all, neighbours by name, or all up to 150 views"}
+    )
+    max_size: int = field(default=1600, metadata={"help": "features are found at this longer side (px)"})
+    features: int = field(default=6000, metadata={"help": "features per image at most"})
+    focal_px: float | None = field(default=None, metadata={"help": "known focal length, kept (px); none: found"})
+    refine_focal: bool = field(default=True, metadata={"help": "refine the focal length where it is not known"})
+    rig: Literal["auto", "no"] = field(
+        default="auto", metadata={"help": "views of equal name under two cameras form a head with one relative pose"}
+    )
+    use_masks: bool = field(default=True, metadata={"help": "ignore features outside given masks"})
+    triangulate: bool = field(default=False, metadata={"help": "with given cameras: also find sparse points"})
+    seed: int = field(default=0, metadata={"help": "of the random choices"})
+
+
+def needed(capture: Capture, parameters: PosesParameters) -> Decision:
+    """Every multi-view capture has cameras written in one schema; only some need them found."""
+    if capture.kind == "light_stage":
+        return Decision(False, "the light stage's camera files hold its cameras")
+    if capture.cameras is not None:
+        source = "an existing COLMAP model" if capture.colmap is not None else "the capture"
+        passes = {
+            "colmap": Decision(False, f"cameras are given by {source}"),
+            "triangulation": Decision(
+                parameters.triangulate, "asked for" if parameters.triangulate else "not asked for (poses.triangulate)"
+            ),
+        }
+        return Decision(True, f"cameras are given by {source}: they are written in one schema", passes)
+    return Decision(True, f"no cameras: found from {len(capture.views)} views", {"colmap": Decision(True, "no cameras given")})
+
+
+def capture_files(capture: Capture) -> Iterable[Path]:
+    """The files that hold cameras: whatever is neither a view, a mask nor an environment."""
+    views = {p for view in capture.views for p in view.paths}
+    masks = set(capture.masks.values()) if isinstance(capture.masks, dict) else set()
+    others = views | masks | set(capture.environments)
+    return [p for p in capture.files if p not in others] + (sorted(masks) if capture.cameras is None else [])
+
+
+def run(stage: StageRun) -> None:
+    """Write cameras.json, sparse/ and, where points are known, points.ply."""
+    if stage.capture.cameras is not None:
+        from stages.calib.poses.given import write_given
+
+        write_given(stage)
+    else:
+        from stages.calib.poses.find import find_cameras
+
+        find_cameras(stage)
+
+
+STAGE = Stage(
+    name="poses",
+    version=1,
+    parameters=PosesParameters,
+    needs=("decode",),
+    needed=needed,
+    run=run,
+    capture_files=capture_files,
+    config=("poses", "unit_m", "up"),
+)

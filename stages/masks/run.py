@@ -1,0 +1,87 @@
+"""Make the masks of a capture by the chosen method, check them, and write them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.errors import UserError
+from pipeline.images import read_image, write_png
+from pipeline.stage import StageRun
+from stages.masks.stage import choose_method
+
+THRESHOLD = 127
+
+
+def make_masks(stage: StageRun) -> None:
+    """Fill the stage's folder. Raises UserError on masks that cannot be meant."""
+    method, reason = choose_method(stage.capture, stage.parameters)
+    if stage.capture.kind == "light_stage":
+        masks = light_stage_masks(stage, method)
+    else:
+        masks = multiview_masks(stage, method)
+    methods = {name: used for name, (_, used) in masks.items()}
+    pixels = {name: mask for name, (mask, _) in masks.items()}
+    views: dict[str, dict[str, Any]] = {}
+    for name, mask in sorted(pixels.items()):
+        write_png(stage.output / f"{name}.png", mask)
+        views[name] = {"method": methods[name], "coverage": float((mask > THRESHOLD).mean())}
+    empty = [name for name in sorted(views) if views[name]["coverage"] == 0]
+    if empty:
+        stage.warn(f"{stage.output.name}: the object was not found in {', '.join(empty[:4])}: these views are black")
+    table = {"schema": 1, "method": method, "reason": reason, "views": views}
+    (stage.output / "masks.json").write_text(json.dumps(table, indent=1) + "\n", encoding="utf-8")
+
+
+def given_mask(path: Path) -> NDArray[np.uint8]:
+    """A given mask's first channel as 8 bits [H, W]. Raises UserError if it is all black."""
+    mask = np.round(np.clip(read_image(path)[..., 0], 0, 1) * 255).astype(np.uint8)
+    if not (mask > THRESHOLD).any():
+        raise UserError(
+            path, "the mask is all black: no object in this view", "mend it, or remove it to have the view segmented"
+        )
+    return mask
+
+
+def light_stage_masks(stage: StageRun, method: str) -> dict[str, tuple[NDArray[np.uint8], str]]:
+    """One mask per camera: its mask file, else a matte from its frames."""
+    light_stage = stage.capture.light_stage
+    assert light_stage is not None
+    out = {}
+    for name, camera in sorted(light_stage.cameras.items()):
+        if method == "none":
+            out[name] = np.full((camera.camera.height, camera.camera.width), 255, np.uint8), "none"
+        elif camera.mask is not None and method != "matte":
+            out[name] = given_mask(camera.mask), "given"
+        else:
+            from stages.masks.matte import light_stage_matte
+
+            out[name] = light_stage_matte(camera, stage), "matte"
+    return out
+
+
+def multiview_masks(stage: StageRun, method: str) -> dict[str, tuple[NDArray[np.uint8], str]]:
+    """One mask per view; views that the method leaves out are segmented by the background model."""
+    frames = json.loads((stage.inputs["decode"] / "frames.json").read_text(encoding="utf-8"))["views"]
+    out: dict[str, tuple[NDArray[np.uint8], str]] = {}
+    if method == "none":
+        return {v: (np.full((f["height"], f["width"]), 255, np.uint8), "none") for v, f in frames.items()}
+    if method == "given":
+        given = stage.capture.masks if isinstance(stage.capture.masks, dict) else {}
+        out = {view: (given_mask(path), "given") for view, path in given.items()}
+    elif method == "alpha":
+        for view, frame in frames.items():
+            if frame["alpha"]:
+                out[view] = given_mask(stage.inputs["decode"] / frame["alpha"]), "alpha"
+    missing = [view for view in frames if view not in out]
+    if missing:
+        from stages.masks.segment import segment_views
+
+        used = method if method not in ("given", "alpha") else "background"
+        for view, mask in segment_views(stage, missing, used, known=out).items():
+            out[view] = mask, used
+    return out
