@@ -1,0 +1,152 @@
+"""The rasteriser on the CPU: numba kernels over tiles, float32, the same function as `reference`.
+
+The results do not depend on the number of threads, bit for bit: every pixel is blended by one thread, and every
+(tile, splat) pair writes its gradients to a slot of its own, summed in splat order afterwards.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from . import constants as k
+from .kernel_backward import tiles_backward
+from .kernel_bin import TILE_H, TILE_W, bin_splats, depth_order
+from .kernel_forward import blend_tiles
+from .kernel_project import BOTTOM, CULLED, G_GEO, GEO, LEFT, RIGHT, STATE, TOP, project, project_backward
+from .raster import Raster
+from .threads import run_on_all_cores
+
+
+def rasterize_cpu(
+    means: Tensor,  # [N, 3]
+    quats: Tensor,  # [N, 4]
+    scales: Tensor,  # [N, 2]
+    opacities: Tensor,  # [N]
+    features: Tensor,  # [N, C]
+    world_to_camera: Tensor,  # [4, 4]
+    intrinsics: Tensor,  # [3, 3]
+    width: int,
+    height: int,
+    *,
+    near: float | None = None,
+    pixel_mask: Tensor | None = None,  # [H, W]
+    screen_filter: bool = True,
+) -> Raster:
+    """`rasterize` on the CPU, computed in float32."""
+    view = _View(world_to_camera, intrinsics, width, height, near, pixel_mask, screen_filter, len(means))
+    inputs = [t.to(torch.float32) for t in (means, quats, scales, opacities, features)]
+    blended, normal, alpha, expected, median, distortion = _Rasterize.apply(view, *inputs)
+    side = [torch.from_numpy(a) for a in (view.screen_gradient, view.visible, view.radii)]
+    return Raster(blended, alpha, normal, expected, median, distortion, *side)
+
+
+class _View:
+    """One call's camera, and the facts of it that are not differentiated."""
+
+    def __init__(
+        self,
+        world_to_camera: Tensor,
+        intrinsics: Tensor,
+        width: int,
+        height: int,
+        near: float | None,
+        pixel_mask: Tensor | None,
+        screen_filter: bool,
+        count: int,
+    ) -> None:
+        lens = intrinsics.detach()
+        self.lens = np.array([lens[0, 0], lens[1, 1], lens[0, 2], lens[1, 2]], np.float32)
+        self.camera = np.ascontiguousarray(world_to_camera.detach().numpy(), np.float32)
+        self.width, self.height, self.near, self.screen_filter = width, height, near, screen_filter
+        self.screen = np.float32(k.SCREEN_INVERSE_VARIANCE if screen_filter else np.inf)
+        self.mask = np.ones((height, width), bool) if pixel_mask is None else np.ascontiguousarray(pixel_mask.numpy())
+        self.screen_gradient, self.visible, self.radii = (np.zeros(count, np.float32) for _ in range(3))
+
+    def wanted_tiles(self) -> np.ndarray:
+        """Tiles with a pixel in the mask. [rows, columns] bool"""
+        rows, columns = -(-self.height // TILE_H), -(-self.width // TILE_W)
+        padded = np.zeros((rows * TILE_H, columns * TILE_W), bool)
+        padded[: self.height, : self.width] = self.mask
+        return padded.reshape(rows, TILE_H, columns, TILE_W).any((1, 3))
+
+    def near_plane(self, means: np.ndarray) -> np.float32:
+        """`near`, or `NEAR_FRACTION` of the (lower) median camera z of the splats in front of the camera."""
+        if self.near is not None:
+            return np.float32(self.near)
+        z = means @ self.camera[2, :3] + self.camera[2, 3]
+        z = z[z > 0]
+        return np.float32(k.NEAR_FRACTION * np.partition(z, (len(z) - 1) // 2)[(len(z) - 1) // 2] if len(z) else 1.0)
+
+    def measure_radii(self, geo: np.ndarray) -> None:
+        """Half the larger side of each splat's box, 0 for those culled or outside the image."""
+        box = geo[:, LEFT : BOTTOM + 1]
+        inside = (geo[:, STATE] != CULLED) & (box[:, 1] > 0) & (box[:, 0] < self.width)
+        inside &= (box[:, 3] > 0) & (box[:, 2] < self.height)
+        half = 0.5 * np.maximum(geo[:, RIGHT] - geo[:, LEFT], geo[:, BOTTOM] - geo[:, TOP])
+        self.radii[inside] = np.minimum(half[inside], 2 * max(self.width, self.height))
+
+
+def _array(tensor: Tensor) -> np.ndarray:
+    return tensor.detach().contiguous().numpy()
+
+
+class _Rasterize(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, view: _View, *inputs: Tensor) -> tuple[Tensor, ...]:
+        means, quats, scales, opacities, features = arrays = [_array(t) for t in inputs]
+        count, channels = features.shape
+        geo = np.zeros((count, GEO), np.float32)
+        attributes = np.empty((count, channels + 3), np.float32)
+        near = view.near_plane(means)
+        run_on_all_cores(
+            project, *arrays, view.camera, view.lens, near, view.screen_filter, geo, attributes
+        )
+        order = depth_order(geo)
+        pairs = bin_splats(geo, order, view.wanted_tiles(), view.width, view.height)
+        tile_start, pair_splat, pair_slot, slot_start = pairs
+        image = np.zeros((view.height, view.width, channels + 3), np.float32)
+        scalars = np.zeros((4, view.height, view.width), np.float32)
+        pair_weight = np.zeros(len(pair_slot), np.float32)
+        tile_used = np.zeros(len(tile_start) - 1, np.int64)
+        run_on_all_cores(
+            blend_tiles, tile_start, pair_splat, pair_slot, geo, attributes, view.mask, view.screen,
+            image, scalars, pair_weight, tile_used,
+        )  # fmt: skip
+        view.measure_radii(geo)
+        seen = np.flatnonzero(np.diff(slot_start))
+        if len(seen):
+            view.visible[seen] = np.maximum.reduceat(pair_weight, slot_start[seen])
+        ctx.view, ctx.pairs, ctx.tile_used, ctx.geo, ctx.attributes = view, pairs, tile_used, geo, attributes
+        ctx.save_for_backward(*inputs)
+        ctx.set_materialize_grads(False)
+        blended = torch.from_numpy(image)
+        return blended[..., :channels], blended[..., channels:], *torch.from_numpy(scalars).unbind(0)
+
+    @staticmethod
+    def backward(ctx: Any, *cotangents: Tensor | None) -> tuple[Tensor | None, ...]:
+        view: _View = ctx.view
+        means, quats, scales, opacities, features = (_array(t) for t in ctx.saved_tensors)
+        tile_start, pair_splat, pair_slot, slot_start = ctx.pairs
+        channels = features.shape[1]
+        d_image = np.zeros((view.height, view.width, channels + 3), np.float32)
+        d_scalars = np.zeros((4, view.height, view.width), np.float32)
+        places = (d_image[..., :channels], d_image[..., channels:], *d_scalars)
+        for place, cotangent in zip(places, cotangents, strict=True):
+            if cotangent is not None:
+                place[...] = cotangent.numpy()
+        slots = np.zeros((len(pair_slot), G_GEO + channels + 3), np.float32)
+        run_on_all_cores(
+            tiles_backward, tile_start, ctx.tile_used, pair_splat, pair_slot, ctx.geo, ctx.attributes, view.mask,
+            view.screen, d_image, d_scalars, slots,
+        )  # fmt: skip
+        gradients = [np.zeros_like(a) for a in (means, quats, scales, opacities, features)]
+        view.screen_gradient[:] = 0
+        run_on_all_cores(
+            project_backward, means, quats, scales, view.camera, view.lens, ctx.geo, slot_start, slots,
+            *gradients, view.screen_gradient,
+        )  # fmt: skip
+        return None, *(torch.from_numpy(g) for g in gradients)
