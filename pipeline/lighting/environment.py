@@ -1,0 +1,47 @@
+"""The learnable environment: a cube of radiance behind PhyGaP's activation."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike
+
+from . import latlong
+
+# Radiance of an untouched environment (raw 0): what Eq. 33 gives there.
+GREY = 0.5
+
+
+def activate(raw: torch.Tensor) -> torch.Tensor:
+    """Radiance > 0 of raw values: sigmoid(x) for x <= 0, x + 0.5 above (PhyGaP Eq. 33); slope 1/4 to 1 over 0."""
+    return torch.where(raw > 0, raw + GREY, torch.sigmoid(raw))
+
+
+def deactivate(radiance: torch.Tensor) -> torch.Tensor:
+    """Inverse of `activate`; radiance below 1e-6 (raw -13.8, where the sigmoid's slope dies) is raised to it."""
+    low = radiance.clamp(1e-6, GREY)
+    return torch.where(radiance > GREY, radiance - GREY, torch.log(low) - torch.log1p(-low))
+
+
+class EnvironmentCube(torch.nn.Module):
+    """Learnable radiance [6, R, R, 3] on a cube (linear RGB), `raw` before the activation."""
+
+    def __init__(self, resolution: int = 32, radiance: float | torch.Tensor = GREY) -> None:
+        super().__init__()
+        self.resolution = resolution
+        start = torch.as_tensor(radiance, dtype=torch.float32).expand(6, resolution, resolution, 3)
+        self.raw = torch.nn.Parameter(deactivate(start).contiguous())
+
+    def radiance(self) -> torch.Tensor:
+        """Linear radiance [6, R, R, 3], all positive."""
+        return activate(self.raw)
+
+    def to_latlong(self, height: int = 256, width: int = 512) -> np.ndarray:
+        """Latitude-longitude map [H, W, 3] float32 in the dataset's convention; see `latlong.from_cube`."""
+        return latlong.from_cube(self.radiance().detach().cpu().numpy(), height, width).astype(np.float32)
+
+    @classmethod
+    def from_latlong(cls, image: ArrayLike, resolution: int = 32) -> EnvironmentCube:
+        """Cube with the texel means of a latitude-longitude map [H, W, 3]."""
+        cube = latlong.to_cube(np.asarray(image), resolution)
+        return cls(resolution, torch.as_tensor(cube, dtype=torch.float32))

@@ -1,0 +1,148 @@
+"""Prefiltered light: rough-mirror levels and diffuse irradiance of a cube, as one sparse linear map.
+
+A level is the environment convolved with the lobe that a surface of that roughness reflects when mirror direction,
+normal and view coincide (PhyGaP Eq. 16's second factor, normalised): weights D(h) (n.l), sum 1.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import torch
+from scipy.sparse import csr_matrix, identity, vstack
+
+from pipeline.optics.fresnel import hemispherical_transmittance
+from pipeline.optics.microfacet import MIN_ROUGHNESS
+from pipeline.optics.sphere import cube_solid_angles
+
+from . import kernels
+from .cube import AXES, corner_texels, cube_directions, extended_size, lookup
+from .sparse import SparseMap
+
+LOBES = {"ggx": kernels.GGX, "beckmann": kernels.BECKMANN}
+# Roughness of the levels; between them radiance is interpolated linearly.
+ROUGHNESSES = (MIN_ROUGHNESS, 0.2, 0.3, 0.42, 0.55, 0.7, 0.85, 1.0)
+# A level has at least this many texels across its lobe's full width at half maximum (up to the source's).
+TEXELS_PER_LOBE = 4.5
+DIFFUSE_RESOLUTION = 16
+COARSEST = 4
+
+
+@dataclass(frozen=True)
+class Level:
+    """A block of the packed table: an extended cube of this resolution from row `start`."""
+
+    resolution: int
+    start: int
+
+    def of(self, packed: torch.Tensor) -> torch.Tensor:
+        return packed[self.start : self.start + extended_size(self.resolution)]
+
+
+@dataclass(frozen=True)
+class LightField:
+    """What a surface point sees of an unoccluded environment; `packed` [T, 3] carries the gradient."""
+
+    packed: torch.Tensor
+    roughnesses: tuple[float, ...]
+    specular: tuple[Level, ...]
+    cosine: Level
+    transmitted: Level
+    lobe: str
+
+    def mirrored(self, directions: torch.Tensor, roughness: torch.Tensor) -> torch.Tensor:
+        """E(r, direction) [P, 3] for directions [P, 3] and perceptual roughness [P]."""
+        nodes = torch.as_tensor(self.roughnesses, dtype=roughness.dtype, device=roughness.device)
+        k = torch.searchsorted(nodes, roughness.detach().contiguous(), right=True) - 1
+        k = k.clamp(0, len(self.roughnesses) - 2)
+        t = ((roughness - nodes[k]) / (nodes[k + 1] - nodes[k]))[:, None]
+        out = directions.new_zeros(directions.shape)
+        for index, level in enumerate(self.specular):
+            weight = torch.where((k == index)[:, None], 1 - t, torch.where((k + 1 == index)[:, None], t, 0))
+            used = torch.nonzero((k == index) | (k + 1 == index))[:, 0]
+            value = lookup(level.of(self.packed), directions[used], level.resolution)
+            out = out.index_add(0, used, weight[used] * value)
+        return out
+
+    def irradiance(self, normals: torch.Tensor, transmitted: bool) -> torch.Tensor:
+        """Integral of L (n.w) d omega [P, 3], with T(n.w) at eta = 1.5 inside if `transmitted`."""
+        level = self.transmitted if transmitted else self.cosine
+        return lookup(level.of(self.packed), normals, level.resolution)
+
+
+class Prefilter:
+    """The linear map from a cube's radiance [6, R, R, 3] to a `LightField`, built once per (R, lobe).
+
+    lobe: "ggx" (PhyGaP) or "beckmann" (Mitsuba's pplastic).
+    """
+
+    def __init__(self, resolution: int = 32, lobe: str = "ggx") -> None:
+        if resolution < COARSEST or resolution & (resolution - 1):
+            raise ValueError(f"environment resolution {resolution}: must be a power of two from {COARSEST} up")
+        if lobe not in LOBES:
+            raise ValueError(f"lobe {lobe!r}: must be one of {', '.join(LOBES)}")
+        self.resolution, self.lobe = resolution, lobe
+        self._maps, self.specular, self.cosine, self.transmitted = _build(resolution, lobe)
+
+    def apply(self, radiance: torch.Tensor) -> LightField:
+        """Prefilter radiance [6, R, R, 3]; differentiable."""
+        pyramid, lobes = self._maps
+        packed = lobes(pyramid(radiance.reshape(-1, radiance.shape[-1])))
+        return LightField(packed, ROUGHNESSES, self.specular, self.cosine, self.transmitted, self.lobe)
+
+
+def level_resolution(roughness: float, limit: int) -> int:
+    """Cube resolution of a specular level: a power of two, fine enough for its lobe."""
+    width_deg = 4 * np.degrees(np.arctan(0.6436 * roughness**2))
+    need = TEXELS_PER_LOBE * 90 / width_deg
+    return int(min(limit, max(8, 2 ** np.ceil(np.log2(need)))))
+
+
+@lru_cache(maxsize=4)
+def _build(resolution: int, lobe: str) -> tuple[tuple[SparseMap, SparseMap], tuple[Level, ...], Level, Level]:
+    pyramid, offsets = _pyramid(resolution)
+    blocks: list[csr_matrix] = []
+    start = 0
+
+    def add(kind: int, alpha: float, size: int, total: float) -> Level:
+        nonlocal start
+        blocks.append(_block(kind, alpha, size, total, resolution, offsets, pyramid.shape[0]))
+        level = Level(size, start)
+        start += extended_size(size)
+        return level
+
+    specular = tuple(add(LOBES[lobe], r**2, level_resolution(r, resolution), 1.0) for r in ROUGHNESSES)
+    diffuse = min(resolution, DIFFUSE_RESOLUTION)
+    entering = float(hemispherical_transmittance(np.asarray(kernels.REFERENCE_IOR)))
+    cosine = add(kernels.COSINE, 1.0, diffuse, np.pi)
+    transmitted = add(kernels.COSINE_TRANSMITTED, 1.0, diffuse, np.pi * entering)
+    return (SparseMap(pyramid), SparseMap(vstack(blocks).tocsr())), specular, cosine, transmitted
+
+
+def _pyramid(resolution: int) -> tuple[csr_matrix, np.ndarray]:
+    """Map from texels to all of them and their means in ever coarser cubes, and where each cube begins."""
+    size, offsets, blocks = resolution, [0], [identity(6 * resolution**2, format="csr")]
+    while size > COARSEST:
+        area = np.tile(cube_solid_angles(size).ravel(), 6)
+        face, j, i = np.unravel_index(np.arange(area.size), (6, size, size))
+        parent = (face * (size // 2) + j // 2) * (size // 2) + i // 2
+        share = area / np.bincount(parent, area)[parent]
+        offsets.append(offsets[-1] + area.size)
+        step = csr_matrix((share, (parent, np.arange(area.size))), shape=(area.size // 4, area.size))
+        blocks.append(step @ blocks[-1])
+        size //= 2
+    return vstack(blocks).tocsr(), np.array(offsets)
+
+
+def _block(kind: int, alpha: float, size: int, total: float, resolution: int, offsets: np.ndarray, width: int) -> csr_matrix:
+    """Rows of one level's extended table: texels, then the means at the corners."""
+    directions = cube_directions(size).reshape(-1, 3)
+    where = (kind, float(alpha), directions, AXES, resolution, len(offsets), offsets)
+    starts = np.concatenate(([0], np.cumsum(kernels.count_rows(*where))))
+    columns, values = np.empty(starts[-1], np.int32), np.empty(starts[-1])
+    kernels.fill_rows(*where, total, starts, columns, values)
+    texels = csr_matrix((values, columns, starts), shape=(len(directions), width))
+    mean = csr_matrix((np.full(24, 1 / 3), corner_texels(size).ravel(), np.arange(0, 25, 3)), shape=(8, len(directions)))
+    return vstack((texels, mean @ texels)).tocsr()
