@@ -1,0 +1,62 @@
+"""`python -m synth OUTPUT`: the tiny synthetic captures, OUTPUT/views and OUTPUT/stage."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import sys
+import time
+from pathlib import Path
+
+from pipeline.errors import UserError
+
+
+def build(folder: Path, make, force: bool, **options: int) -> None:
+    """Make one capture beside its place and move it there whole; leave a finished one alone."""
+    if folder.exists() and not force:
+        print(f"{folder} is there already (--force makes it again)")
+        return
+    started = time.monotonic()
+    aside = folder.with_name(f".{folder.name}.{os.getpid()}")
+    shutil.rmtree(aside, ignore_errors=True)
+    make(aside, **options)
+    shutil.rmtree(folder, ignore_errors=True)
+    aside.rename(folder)
+    print(f"{folder}: rendered in {time.monotonic() - started:.0f} s")
+
+
+def main() -> int:
+    """Parse, render, report; 2 on a user's mistake."""
+    parser = argparse.ArgumentParser(prog="python -m synth", description=__doc__)
+    parser.add_argument("output", type=Path, help="folder that receives views/ and stage/")
+    parser.add_argument("--size", type=int, default=96, help="image width and height (px)")
+    parser.add_argument("--views", type=int, default=16, help="number of views")
+    parser.add_argument("--lights", type=int, default=60, help="number of lights of the stage")
+    parser.add_argument("--spp", type=int, default=144, help="samples a pixel of the views")
+    parser.add_argument("--seed", type=int, default=0, help="seed of all sampling")
+    parser.add_argument("--only", choices=("views", "stage"), help="make only one of the two")
+    parser.add_argument("--force", action="store_true", help="make again what is there")
+    a = parser.parse_args()
+    try:
+        from . import lightstage, views
+
+        try:
+            import mitsuba  # noqa: F401
+        except ImportError as error:
+            remedy = "pip install -c constraints.txt '.[synth]'; apt-get install libatomic1"
+            raise UserError("mitsuba", f"cannot be imported ({error})", remedy) from error
+        if a.size < 16 or a.views < 1 or a.lights < 4 or a.spp < 1:
+            raise UserError("--size, --views, --lights, --spp", "too small", "at least 16, 1, 4, 1")
+        if a.only != "stage":
+            build(a.output / "views", views.make, a.force, size=a.size, views=a.views, spp=a.spp, seed=a.seed)
+        if a.only != "views":
+            build(a.output / "stage", lightstage.make, a.force, size=a.size, lights=a.lights, seed=a.seed)
+    except UserError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

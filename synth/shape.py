@@ -1,0 +1,94 @@
+"""The object of the synthetic captures: a bent, fluted vase with a waist and a bowl in its crown, built from formulas."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+# Half profile (radius, height) from the south pole up the outside, over the rim and down into the bowl.
+PROFILE = np.array([
+    (0.00, -1.00), (0.22, -1.00), (0.40, -0.97), (0.52, -0.86), (0.62, -0.66), (0.66, -0.42), (0.60, -0.14),
+    (0.46, 0.12), (0.37, 0.34), (0.40, 0.56), (0.53, 0.78), (0.60, 0.92), (0.56, 0.99), (0.46, 0.96),
+    (0.33, 0.80), (0.18, 0.68), (0.00, 0.65),
+])  # fmt: skip
+FLUTES = 5
+FLUTE_DEPTH = 0.11  # of the radius
+TWIST = 1.1  # radians of flute rotation per unit of height
+BEND = 0.09  # sideways offset of the axis
+GLAZE = np.array([0.70, 0.16, 0.06])  # terracotta, linear RGB reflectance
+SLIP = np.array([0.10, 0.28, 0.52])  # blue, in one swirl
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A closed triangle mesh, cut along one seam for its texture: vertices and unit normals [V, 3], uv [V, 2], faces [F, 3]."""
+
+    vertices: NDArray[np.float64]
+    normals: NDArray[np.float64]
+    uv: NDArray[np.float64]
+    faces: NDArray[np.int32]
+
+    def scaled(self, factor: float) -> Shape:
+        """The same shape `factor` times as large."""
+        return replace(self, vertices=self.vertices * factor)
+
+
+def vase(around: int = 160, along: int = 120) -> Shape:
+    """Fluted vase of height 2 about the origin, y up, as `around` x `along` quads; u runs around, v from foot to bowl."""
+    u = np.arange(around + 1) / around
+    v = np.linspace(0.0, 1.0, along + 1)
+    vertices = _surface(u[None, :], v[:, None])  # [along + 1, around + 1, 3], first = last column, poles repeated
+    vertices[:, -1] = vertices[:, 0]
+    vertices[0], vertices[-1] = vertices[0, 0], vertices[-1, 0]
+
+    corner = np.arange((along + 1) * (around + 1)).reshape(along + 1, around + 1)
+    a, b, c, d = corner[:-1, :-1], corner[:-1, 1:], corner[1:, :-1], corner[1:, 1:]
+    lower = np.stack([a, b, c], -1)[1:].reshape(-1, 3)  # at the south pole a = b: no triangle
+    upper = np.stack([b, d, c], -1)[:-1].reshape(-1, 3)  # at the north pole c = d
+    faces = np.concatenate([lower, upper]).astype(np.int32)
+
+    welded = np.arange(corner.size).reshape(corner.shape)
+    welded[:, -1] = welded[:, 0]
+    welded[0], welded[-1] = welded[0, 0], welded[-1, 0]
+    normals = vertex_normals(vertices.reshape(-1, 3), welded.ravel()[faces])[welded.ravel()]
+    uv = np.stack(np.broadcast_arrays(u[None, :], v[:, None]), -1).reshape(-1, 2)
+    return Shape(vertices.reshape(-1, 3), normals, uv, faces)
+
+
+def _surface(u: NDArray, v: NDArray) -> NDArray[np.float64]:
+    """Points [..., 3] of the vase at parameters u (around) and v (along the profile), both in [0, 1]."""
+    from scipy.interpolate import CubicSpline
+
+    steps = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(PROFILE, axis=0), axis=1))]
+    # Level at both poles, so that the surface is smooth there.
+    ends = ((1, np.array([steps[-1], 0.0])), (1, np.array([-steps[-1], 0.0])))
+    radius, height = np.moveaxis(CubicSpline(steps / steps[-1], PROFILE, bc_type=ends)(v), -1, 0)
+    azimuth = 2 * np.pi * u
+    fade = np.clip(np.minimum(v, 1 - v) / 0.22, 0, 1) ** 2  # flutes would pinch at the poles
+    radius = radius * (1 + FLUTE_DEPTH * fade * np.cos(FLUTES * (azimuth + TWIST * height)))
+    x, y, z = radius * np.cos(azimuth) + BEND * np.sin(2 * height), height, radius * np.sin(-azimuth)
+    return np.stack(np.broadcast_arrays(x, y, z), -1).copy()
+
+
+def glaze(height: int = 256) -> NDArray[np.float32]:
+    """Albedo texture [height, 2 height, 3], linear RGB, at uv = ((column + 1/2) / width, (row + 1/2) / height)."""
+    u = (np.arange(2 * height) + 0.5) / (2 * height)
+    v = (np.arange(height)[:, None] + 0.5) / height
+    azimuth = 2 * np.pi * u
+    swirl = np.cos(azimuth - 9 * v) + 0.25 * np.cos(3 * azimuth + 20 * v) - 0.55
+    poles = np.clip(np.minimum(v, 1 - v) / 0.15, 0, 1)
+    blend = (poles / (1 + np.exp(-14 * swirl)))[..., None]
+    return (GLAZE * (1 - blend) + SLIP * blend).astype(np.float32)
+
+
+def vertex_normals(vertices: NDArray, faces: NDArray) -> NDArray[np.float64]:
+    """Area-weighted unit vertex normals [V, 3]; 0 for vertices that no face uses."""
+    corner = vertices[faces]
+    face = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+    normals = np.zeros_like(vertices)
+    for k in range(3):
+        np.add.at(normals, faces[:, k], face)
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    return np.divide(normals, length, out=np.zeros_like(normals), where=length > 0)
