@@ -14,7 +14,8 @@ from torch import Tensor
 
 from . import constants as k
 from .kernel_backward import tiles_backward
-from .kernel_bin import TILE_H, TILE_W, bin_splats, depth_order
+from .kernel_bin import bin_splats, depth_order
+from .kernel_block import TILE
 from .kernel_forward import blend_tiles
 from .kernel_project import BOTTOM, CULLED, G_GEO, GEO, LEFT, RIGHT, STATE, TOP, project, project_backward
 from .raster import Raster
@@ -68,10 +69,10 @@ class _View:
 
     def wanted_tiles(self) -> np.ndarray:
         """Tiles with a pixel in the mask. [rows, columns] bool"""
-        rows, columns = -(-self.height // TILE_H), -(-self.width // TILE_W)
-        padded = np.zeros((rows * TILE_H, columns * TILE_W), bool)
+        rows, columns = -(-self.height // TILE), -(-self.width // TILE)
+        padded = np.zeros((rows * TILE, columns * TILE), bool)
         padded[: self.height, : self.width] = self.mask
-        return padded.reshape(rows, TILE_H, columns, TILE_W).any((1, 3))
+        return np.asarray(padded.reshape(rows, TILE, columns, TILE).any((1, 3)))
 
     def near_plane(self, means: np.ndarray) -> np.float32:
         """`near`, or `NEAR_FRACTION` of the (lower) median camera z of the splats in front of the camera."""
@@ -97,14 +98,12 @@ def _array(tensor: Tensor) -> np.ndarray:
 class _Rasterize(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, view: _View, *inputs: Tensor) -> tuple[Tensor, ...]:
-        means, quats, scales, opacities, features = arrays = [_array(t) for t in inputs]
-        count, channels = features.shape
+        arrays = [_array(t) for t in inputs]
+        count, channels = arrays[-1].shape
         geo = np.zeros((count, GEO), np.float32)
         attributes = np.empty((count, channels + 3), np.float32)
-        near = view.near_plane(means)
-        run_on_all_cores(
-            project, *arrays, view.camera, view.lens, near, view.screen_filter, geo, attributes
-        )
+        near = view.near_plane(arrays[0])
+        run_on_all_cores(project, *arrays, view.camera, view.lens, near, view.screen_filter, geo, attributes)
         order = depth_order(geo)
         pairs = bin_splats(geo, order, view.wanted_tiles(), view.width, view.height)
         tile_start, pair_splat, pair_slot, slot_start = pairs

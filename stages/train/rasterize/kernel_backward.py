@@ -1,4 +1,4 @@
-"""Numba: gradients of every tile. Each tile is blended again into a list of rows, then walked back to front.
+"""Numba: gradients of every tile. Each tile is blended again into a list of blocks, then walked back to front.
 
 With c_i the derivative by the weight of splat i at a pixel and B_i what lies behind it, dL/dalpha_i = T_i (c_i - B_i) and
 B_(i-1) = alpha_i c_i + (1 - alpha_i) B_i: no division by 1 - alpha. A (tile, splat) pair writes one slot of its own, so
@@ -8,131 +8,158 @@ the sums are in one fixed order whatever the threads do.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from .kernel_bin import TILE_H, TILE_W
-from .kernel_project import BOTTOM, CX, CY, G_GEO, OPACITY, QX, QY, TOP, UX, UY, VX, VY, Z
-from .kernel_row import (
-    ALPHA,
+from .compiling import kernel
+from .kernel_block import (
     ALPHA_MAX,
-    BEFORE,
+    BLOCK,
+    BLOCKS,
     CHANNELS,
-    FAST,
     HALF,
     MOMENT1,
     MOMENT2,
     ONE,
     PIXELS,
-    Q_MIN,
+    TILE,
     TRANSMITTANCE,
-    WEIGHT,
+    TWO,
     ZERO,
-    blend_row,
-    row_range,
+    blend_block,
+    block_range,
+    intersect,
+    pixel_place,
     start_tile,
 )
-from .lanes import LANES, lane_max, lane_sum, take_ticket
+from .kernel_forward import open_blocks
+from .kernel_project import G_GEO, OPACITY, QX, QY, UX, UY, VX, VY, Z
+from .simd import LANES, absolute, load, maximum, select, spread, store, take_ticket, total
 
 _f = np.float32
-_u = np.uint64
 
-# The buffer of `kernel_row`, with CHANNELS holding the cotangents of the attributes, then:
-N_EXTRA = 5  # planes after the attributes: cotangents of alpha, expected, median depth, distortion; B (behind)
-C_ROW = 0  # row of dL/dweight, in the sums' area
-
-
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
-def weight_derivative(buffer: np.ndarray, row: int, attribute: np.ndarray, out: int) -> None:
-    """out row = sum over channels of attribute * cotangent."""
-    o = _u(out)
-    for i in range(LANES):
-        buffer[o + _u(i)] = ZERO
-    for c in range(len(attribute)):
-        value = attribute[c]
-        plane = _u(CHANNELS + c * PIXELS + row * LANES)
-        for i in range(LANES):
-            buffer[o + _u(i)] += buffer[plane + _u(i)] * value
+# planes after the attributes: cotangents of alpha, expected depth, median depth, distortion; what lies behind
+ALPHA_PLANE, EXPECTED_PLANE, MEDIAN_PLANE, DISTORTION_PLANE, BEHIND = range(5)
+EXTRA = 5
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
-def attribute_sums(buffer: np.ndarray, row: int, channels: int, sums: int) -> None:
-    """Add weight * cotangent to the running rows of the attributes."""
-    for c in range(channels):
-        plane = _u(CHANNELS + c * PIXELS + row * LANES)
-        total = _u(sums + c * LANES)
-        for i in range(LANES):
-            buffer[total + _u(i)] += buffer[_u(WEIGHT + i)] * buffer[plane + _u(i)]
+@kernel
+def replay_tile(
+    buffer: np.ndarray,
+    is_open: np.ndarray,
+    splats: np.ndarray,
+    geo: np.ndarray,
+    left: int,
+    top: int,
+    screen: float,
+    blended: np.ndarray,
+    block_of: np.ndarray,
+    pair_end: np.ndarray,
+) -> None:
+    """Blend a tile again, listing each blended block's alpha and transmittance before (blended, 2 LANES an entry), its
+    place (block_of) and, by pair, the end of its entries (pair_end)."""
+    open_blocks(buffer, is_open)
+    z_ref = geo[splats[0], Z]
+    count = 0
+    for p in range(len(splats)):
+        g = geo[splats[p]]
+        b0, b1, c0, c1 = block_range(g, left, top)
+        for line in range(c0, c1):
+            for column in range(b0, b1):
+                block = line * BLOCKS + column
+                if not is_open[block]:
+                    continue
+                x0, y0 = _f(left + column * BLOCK) + HALF, _f(top + line * BLOCK) + HALF
+                hit, still_open, alpha, before = blend_block(buffer, g, block, x0, y0, z_ref, screen)
+                if hit:
+                    store(blended, 2 * LANES * count, alpha)
+                    store(blended, 2 * LANES * count + LANES, before)
+                    block_of[count] = block
+                    count += 1
+                    is_open[block] = still_open
+        pair_end[p] = count
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
-def row_backward(
+@kernel
+def pair_backward(
     buffer: np.ndarray,
     g: np.ndarray,
-    row: int,
-    x0: float,
-    y: float,
+    attribute: np.ndarray,
+    blended: np.ndarray,
+    block_of: np.ndarray,
+    first: int,
+    last: int,
+    left: int,
+    top: int,
     z_ref: float,
     screen: float,
-    extra: int,
-    sums: int,
+    slot: np.ndarray,
 ) -> None:
-    """Chain one row: from dL/dweight (row at `sums` - LANES) to the G_GEO running rows at `sums`."""
-    dy = y - g[CY]
-    x0 -= g[CX]
-    ux, vx, qx, uy, vy, qy, opacity, z0 = g[UX], g[VX], g[QX], g[UY], g[VY], g[QY], g[OPACITY], g[Z]
-    u0, v0, q0 = uy * dy, vy * dy, ONE + qy * dy
-    base = _u(row * LANES)
-    e, s, derivative = _u(extra) + base, _u(sums), _u(sums - LANES)
-    for i in range(LANES):
-        dx = x0 + _f(i)
-        q = q0 + qx * dx
-        inverse = ONE / max(q, Q_MIN)
-        u, v = (u0 + ux * dx) * inverse, (v0 + vx * dx) * inverse
-        alpha, before = buffer[_u(ALPHA + i)], buffer[_u(BEFORE + i)]
+    """Gradients of one splat in one tile, over its blended blocks first..last. slot [G_GEO + A]"""
+    channels = len(attribute)
+    extra = CHANNELS + channels * PIXELS
+    sum_ux = sum_uy = sum_vx = sum_vy = sum_qx = sum_qy = spread(ZERO)
+    sum_cx = sum_cy = sum_z = sum_log = sum_ax = sum_ay = spread(ZERO)
+    for j in range(first, last):
+        block = block_of[j]
+        at = block * LANES
+        alpha, before = load(blended, 2 * LANES * j), load(blended, 2 * LANES * j + LANES)
+        x0 = _f(left + block % BLOCKS * BLOCK) + HALF
+        y0 = _f(top + block // BLOCKS * BLOCK) + HALF
+        dx, dy, u, v, inverse, _, on_screen = intersect(g, x0, y0, screen)
         hit = alpha > ZERO
         weight = alpha * before
         after = before * (ONE - alpha)
-        on_screen = screen * (dx * dx + dy * dy) < u * u + v * v
-        z = z0 if on_screen else z0 * inverse
+        z = select(on_screen, g[Z], g[Z] * inverse)
+
         far = z - z_ref
-        g_depth, g_spread = buffer[e + _u(PIXELS + i)], buffer[e + _u(3 * PIXELS + i)]
-        total = ONE - buffer[_u(TRANSMITTANCE) + base + _u(i)]
-        m1, m2 = buffer[_u(MOMENT1) + base + _u(i)], buffer[_u(MOMENT2) + base + _u(i)]
-        c = buffer[derivative + _u(i)] + buffer[e + _u(i)] + z * g_depth
-        c += g_spread * (m2 + far * (total * far - m1 - m1))
-        behind = buffer[e + _u(4 * PIXELS + i)]
-        d_alpha = before * (c - behind)
-        buffer[e + _u(4 * PIXELS + i)] = alpha * c + (ONE - alpha) * behind if hit else behind
-        d_z = weight * (g_depth + (g_spread + g_spread) * (total * far - m1))
-        halves = (before > HALF) & (after <= HALF)
-        d_z = d_z + (buffer[e + _u(2 * PIXELS + i)] if halves else ZERO)
-        d_z = d_z if hit else ZERO
-        d_log = d_alpha * alpha if hit & (alpha < ALPHA_MAX) else ZERO  # by log of opacity * kernel
-        d_rho = _f(-0.5) * d_log
-        step = ZERO if on_screen else (d_rho + d_rho) * inverse
-        d_u, d_v = u * step, v * step
-        d_q = -(d_u * u + d_v * v) - (ZERO if on_screen else d_z * inverse * z)
-        d_u = d_u if hit else ZERO
-        d_v = d_v if hit else ZERO
-        d_q = d_q if hit else ZERO
-        pull = _f(-2) * screen * d_rho
-        d_cx = dx * pull if on_screen else -(d_u * ux + d_v * vx + d_q * qx)
-        d_cy = dy * pull if on_screen else -(d_u * uy + d_v * vy + d_q * qy)
-        buffer[s + _u(i)] += d_u * dx
-        buffer[s + _u(LANES + i)] += d_u * dy
-        buffer[s + _u(2 * LANES + i)] += d_v * dx
-        buffer[s + _u(3 * LANES + i)] += d_v * dy
-        buffer[s + _u(4 * LANES + i)] += d_q * dx
-        buffer[s + _u(5 * LANES + i)] += d_q * dy
-        buffer[s + _u(6 * LANES + i)] += d_cx
-        buffer[s + _u(7 * LANES + i)] += d_cy
-        buffer[s + _u(8 * LANES + i)] += d_z if on_screen else d_z * inverse
-        buffer[s + _u(9 * LANES + i)] += d_log / opacity
-        buffer[s + _u(10 * LANES + i)] += abs(d_cx)
-        buffer[s + _u(11 * LANES + i)] += abs(d_cy)
+        g_depth = load(buffer, extra + EXPECTED_PLANE * PIXELS + at)
+        g_spread = load(buffer, extra + DISTORTION_PLANE * PIXELS + at)
+        final = load(buffer, TRANSMITTANCE + at)
+        lean = (ONE - maximum(final, ZERO - final)) * far - load(buffer, MOMENT1 + at)
+        by_weight = load(buffer, extra + ALPHA_PLANE * PIXELS + at) + z * g_depth
+        by_weight += g_spread * (load(buffer, MOMENT2 + at) + far * (lean - load(buffer, MOMENT1 + at)))
+        for c in range(channels):
+            by_weight += load(buffer, CHANNELS + c * PIXELS + at) * attribute[c]
+
+        behind = load(buffer, extra + BEHIND * PIXELS + at)
+        d_alpha = before * (by_weight - behind)
+        store(buffer, extra + BEHIND * PIXELS + at, alpha * by_weight + (ONE - alpha) * behind)
+        halves = hit & (before > HALF) & (after <= HALF)
+        d_z = weight * (g_depth + TWO * g_spread * lean)
+        d_z += select(halves, load(buffer, extra + MEDIAN_PLANE * PIXELS + at), ZERO)
+
+        d_log = select(hit & (alpha < ALPHA_MAX), d_alpha * alpha, ZERO)  # by log of opacity * kernel
+        step = select(on_screen, ZERO, ZERO - d_log * inverse)
+        d_u, d_v = select(hit, u * step, ZERO), select(hit, v * step, ZERO)
+        d_z_object = select(on_screen, ZERO, d_z * inverse)
+        d_q = select(hit, ZERO - d_u * u - d_v * v - d_z_object * z, ZERO)
+        pull = select(on_screen, screen * d_log, ZERO)
+        d_cx = dx * pull - d_u * g[UX] - d_v * g[VX] - d_q * g[QX]
+        d_cy = dy * pull - d_u * g[UY] - d_v * g[VY] - d_q * g[QY]
+        sum_ux += d_u * dx
+        sum_uy += d_u * dy
+        sum_vx += d_v * dx
+        sum_vy += d_v * dy
+        sum_qx += d_q * dx
+        sum_qy += d_q * dy
+        sum_cx += d_cx
+        sum_cy += d_cy
+        sum_z += select(on_screen, d_z, d_z_object)
+        sum_log += d_log
+        sum_ax += absolute(d_cx)
+        sum_ay += absolute(d_cy)
+    slot[0], slot[1], slot[2], slot[3] = total(sum_ux), total(sum_uy), total(sum_vx), total(sum_vy)
+    slot[4], slot[5], slot[6], slot[7] = total(sum_qx), total(sum_qy), total(sum_cx), total(sum_cy)
+    slot[8], slot[9] = total(sum_z), total(sum_log) / g[OPACITY]
+    slot[10], slot[11] = total(sum_ax), total(sum_ay)
+    for c in range(channels):
+        sum_c = spread(ZERO)
+        for j in range(first, last):
+            weight = load(blended, 2 * LANES * j) * load(blended, 2 * LANES * j + LANES)
+            sum_c += weight * load(buffer, CHANNELS + c * PIXELS + block_of[j] * LANES)
+        slot[G_GEO + c] = total(sum_c)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def tiles_backward(
     counter: np.ndarray,
     tile_start: np.ndarray,
@@ -149,16 +176,16 @@ def tiles_backward(
 ) -> None:
     """Fill slots [S, G_GEO + A] from the cotangents d_image [H, W, A] and d_scalars [4, H, W]."""
     height, width, channels = d_image.shape
-    columns = (width + TILE_W - 1) // TILE_W
+    columns = (width + TILE - 1) // TILE
     extra = CHANNELS + channels * PIXELS
-    sums = extra + N_EXTRA * PIXELS + LANES
-    buffer = np.zeros(sums + (G_GEO + channels) * LANES, np.float32)
+    buffer = np.empty(extra + EXTRA * PIXELS, np.float32)
+    is_open = np.empty(BLOCKS * BLOCKS, np.bool_)
     longest = 0
     for tile in range(len(tile_used)):
         longest = max(longest, tile_used[tile])
-    rows = np.empty((longest * TILE_H, 2, LANES), np.float32)  # alpha, transmittance before
-    row_of = np.empty(longest * TILE_H, np.int32)
-    row_end = np.empty(longest, np.int64)
+    blended = np.empty(longest * BLOCKS * BLOCKS * 2 * LANES, np.float32)
+    block_of = np.empty(longest * BLOCKS * BLOCKS, np.uint8)
+    pair_end = np.empty(longest, np.int64)
     while True:
         tile = take_ticket(counter)
         if tile >= len(tile_start) - 1:
@@ -166,42 +193,25 @@ def tiles_backward(
         first, used = tile_start[tile], tile_used[tile]
         if used == 0:
             continue
-        left, top = (tile % columns) * TILE_W, (tile // columns) * TILE_H
-        start_tile(buffer, mask, left, top, width, height, channels + N_EXTRA)
-        for r in range(min(TILE_H, height - top)):
-            for i in range(min(TILE_W, width - left)):
-                if mask[top + r, left + i]:
+        left, top = (tile % columns) * TILE, (tile // columns) * TILE
+        start_tile(buffer, mask, left, top, channels + EXTRA)
+        for line in range(min(TILE, height - top)):
+            for column in range(min(TILE, width - left)):
+                y, x = top + line, left + column
+                if mask[y, x]:
+                    at = pixel_place(line, column)
                     for c in range(channels):
-                        buffer[CHANNELS + c * PIXELS + r * LANES + i] = d_image[top + r, left + i, c]
+                        buffer[CHANNELS + c * PIXELS + at] = d_image[y, x, c]
                     for c in range(4):
-                        buffer[extra + c * PIXELS + r * LANES + i] = d_scalars[c, top + r, left + i]
-        z_ref = geo[pair_splat[first], Z]
-        count = 0
-        for p in range(used):
-            g = geo[pair_splat[first + p]]
-            r0, r1 = row_range(g[TOP], g[BOTTOM], top)
-            for r in range(r0, r1):
-                blend_row(buffer, g, r, _f(left) + HALF, _f(top + r) + HALF, z_ref, screen)
-                if lane_max(buffer, _u(ALPHA)) > 0:
-                    for i in range(LANES):
-                        rows[count, 0, i] = buffer[ALPHA + i]
-                        rows[count, 1, i] = buffer[BEFORE + i]
-                    row_of[count] = r
-                    count += 1
-            row_end[p] = count
+                        buffer[extra + c * PIXELS + at] = d_scalars[c, y, x]
+        splats = pair_splat[first : first + used]
+        replay_tile(buffer, is_open, splats, geo, left, top, screen, blended, block_of, pair_end)
+        z_ref = geo[splats[0], Z]
         for p in range(used - 1, -1, -1):
-            s = pair_splat[first + p]
-            slot = slots[pair_slot[first + p]]
-            for j in range(sums, sums + (G_GEO + channels) * LANES):
-                buffer[j] = ZERO
-            for j in range(row_end[p - 1] if p else 0, row_end[p]):
-                r = row_of[j]
-                for i in range(LANES):
-                    buffer[ALPHA + i] = rows[j, 0, i]
-                    buffer[BEFORE + i] = rows[j, 1, i]
-                    buffer[WEIGHT + i] = rows[j, 0, i] * rows[j, 1, i]
-                weight_derivative(buffer, r, attributes[s], sums - LANES)
-                row_backward(buffer, geo[s], r, _f(left) + HALF, _f(top + r) + HALF, z_ref, screen, extra, sums)
-                attribute_sums(buffer, r, channels, sums + G_GEO * LANES)
-            for c in range(G_GEO + channels):
-                slot[c] = lane_sum(buffer, _u(sums + c * LANES))
+            begin = pair_end[p - 1] if p else 0
+            if begin < pair_end[p]:
+                s = splats[p]
+                pair_backward(
+                    buffer, geo[s], attributes[s], blended, block_of, begin, pair_end[p], left, top, z_ref, screen,
+                    slots[pair_slot[first + p]],
+                )  # fmt: skip

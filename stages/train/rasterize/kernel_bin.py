@@ -5,18 +5,15 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
-from .kernel_project import BOTTOM, CULLED, GEO, LEFT, RIGHT, STATE, TOP, Z
-from .lanes import LANES
-
-TILE_W = LANES
-TILE_H = 16
+from .compiling import kernel
+from .kernel_block import TILE
+from .kernel_project import BOTTOM, CULLED, LEFT, RIGHT, STATE, TOP, Z
 
 DIGIT = 11  # bits a radix pass sorts by: three passes cover 32 bits, and the histogram stays in the L1 cache
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def depth_order(geo: np.ndarray) -> np.ndarray:
     """Indices of the splats not culled, nearest centre first; equal depths keep their input order. [M] int32"""
     count = 0
@@ -51,7 +48,7 @@ def depth_order(geo: np.ndarray) -> np.ndarray:
     return index
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def tile_range(low: float, high: float, size: int, tile: int) -> tuple:
     """First and last + 1 tile whose pixel centres (at +0.5) can lie in [low, high]; empty where none does."""
     first = math.ceil(max(low - np.float32(0.5), np.float32(0)))
@@ -61,7 +58,7 @@ def tile_range(low: float, high: float, size: int, tile: int) -> tuple:
     return int(first) // tile, int(last) // tile + 1
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def bin_splats(geo: np.ndarray, order: np.ndarray, wanted: np.ndarray, width: int, height: int) -> tuple:
     """Pairs (tile, splat) in tile order, front to back.
 
@@ -76,8 +73,8 @@ def bin_splats(geo: np.ndarray, order: np.ndarray, wanted: np.ndarray, width: in
     box = np.zeros((count, 4), np.int32)
     for s in range(count):
         if geo[s, STATE] != CULLED:
-            x0, x1 = tile_range(geo[s, LEFT], geo[s, RIGHT], width, TILE_W)
-            y0, y1 = tile_range(geo[s, TOP], geo[s, BOTTOM], height, TILE_H)
+            x0, x1 = tile_range(geo[s, LEFT], geo[s, RIGHT], width, TILE)
+            y0, y1 = tile_range(geo[s, TOP], geo[s, BOTTOM], height, TILE)
             box[s, 0], box[s, 1], box[s, 2], box[s, 3] = x0, x1, y0, y1
             for y in range(y0, y1):
                 for x in range(x0, x1):

@@ -3,47 +3,43 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from .kernel_bin import TILE_H, TILE_W
-from .kernel_project import BOTTOM, TOP, Z
-from .kernel_row import (
+from .compiling import kernel
+from .kernel_block import (
+    BLOCK,
+    BLOCKS,
     CHANNELS,
-    FAST,
     HALF,
-    LIVE,
     MEDIAN,
     MOMENT1,
     MOMENT2,
     ONE,
     PIXELS,
+    TILE,
     TRANSMITTANCE,
-    WEIGHT,
     ZERO,
-    any_live,
-    blend_row,
-    row_range,
+    blend_block,
+    block_range,
+    pixel_place,
     start_tile,
 )
-from .lanes import LANES, lane_max, take_ticket
-
-CHECK_EVERY = 16  # splats between looks at whether the tile is finished
+from .kernel_project import Z
+from .simd import LANES, any_lane, largest, load, maximum, spread, store, take_ticket
 
 _f = np.float32
-_u = np.uint64
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
-def add_channels(buffer: np.ndarray, row: int, attribute: np.ndarray) -> None:
-    """Add weight * attribute to one row of every channel plane."""
-    for c in range(len(attribute)):
-        value = attribute[c]
-        plane = _u(CHANNELS + c * PIXELS + row * LANES)
-        for i in range(LANES):
-            buffer[plane + _u(i)] += buffer[_u(WEIGHT + i)] * value
+@kernel
+def open_blocks(buffer: np.ndarray, is_open: np.ndarray) -> int:
+    """Mark the blocks with unfinished pixels; returns how many there are. is_open [BLOCKS^2] bool"""
+    count = 0
+    for block in range(BLOCKS * BLOCKS):
+        is_open[block] = any_lane(load(buffer, TRANSMITTANCE + block * LANES) > ZERO)
+        count += is_open[block]
+    return count
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def blend_tiles(
     counter: np.ndarray,
     tile_start: np.ndarray,
@@ -61,44 +57,56 @@ def blend_tiles(
     """Fill image [H, W, A], scalars [4, H, W] (alpha, expected and median depth, distortion), pair_weight [S] (largest
     weight, by slot) and tile_used [tiles] (pairs until every pixel was finished)."""
     height, width, channels = image.shape
-    columns = (width + TILE_W - 1) // TILE_W
+    columns = (width + TILE - 1) // TILE
     buffer = np.empty(CHANNELS + channels * PIXELS, np.float32)
+    is_open = np.empty(BLOCKS * BLOCKS, np.bool_)
     while True:
         tile = take_ticket(counter)
         if tile >= len(tile_start) - 1:
             return
         first, last = tile_start[tile], tile_start[tile + 1]
-        left, top = (tile % columns) * TILE_W, (tile // columns) * TILE_H
+        left, top = (tile % columns) * TILE, (tile // columns) * TILE
         if first == last:
             continue
-        start_tile(buffer, mask, left, top, width, height, channels)
+        start_tile(buffer, mask, left, top, channels)
+        remaining = open_blocks(buffer, is_open)
         z_ref = geo[pair_splat[first], Z]
         used = last - first
         for p in range(first, last):
-            if (p - first) % CHECK_EVERY == 0 and not any_live(buffer):
-                used = p - first
-                break
             s = pair_splat[p]
             g = geo[s]
-            largest = ZERO
-            r0, r1 = row_range(g[TOP], g[BOTTOM], top)
-            for r in range(r0, r1):
-                blend_row(buffer, g, r, _f(left) + HALF, _f(top + r) + HALF, z_ref, screen)
-                weight = lane_max(buffer, _u(WEIGHT))
-                if weight > 0:
-                    largest = max(largest, weight)
-                    add_channels(buffer, r, attributes[s])
-            pair_weight[pair_slot[p]] = largest
+            peak = spread(ZERO)
+            b0, b1, c0, c1 = block_range(g, left, top)
+            for line in range(c0, c1):
+                for column in range(b0, b1):
+                    block = line * BLOCKS + column
+                    if not is_open[block]:
+                        continue
+                    x0, y0 = _f(left + column * BLOCK) + HALF, _f(top + line * BLOCK) + HALF
+                    hit, still_open, alpha, before = blend_block(buffer, g, block, x0, y0, z_ref, screen)
+                    if hit:
+                        weight = alpha * before
+                        peak = maximum(peak, weight)
+                        for c in range(channels):
+                            at = CHANNELS + c * PIXELS + block * LANES
+                            store(buffer, at, load(buffer, at) + weight * attributes[s, c])
+                        if not still_open:
+                            is_open[block] = False
+                            remaining -= 1
+            pair_weight[pair_slot[p]] = largest(peak)
+            if remaining == 0:
+                used = p - first + 1
+                break
         tile_used[tile] = used
-        for r in range(min(TILE_H, height - top)):
-            for i in range(min(TILE_W, width - left)):
-                at = r * LANES + i
-                y, x = top + r, left + i
+        for line in range(min(TILE, height - top)):
+            for column in range(min(TILE, width - left)):
+                at = pixel_place(line, column)
+                y, x = top + line, left + column
                 for c in range(channels):
                     image[y, x, c] = buffer[CHANNELS + c * PIXELS + at]
-                alpha = ONE - buffer[TRANSMITTANCE + at]
+                alpha_sum = ONE - abs(buffer[TRANSMITTANCE + at])
                 m1, m2 = buffer[MOMENT1 + at], buffer[MOMENT2 + at]
-                scalars[0, y, x] = alpha
-                scalars[1, y, x] = m1 + z_ref * alpha
+                scalars[0, y, x] = alpha_sum
+                scalars[1, y, x] = m1 + z_ref * alpha_sum
                 scalars[2, y, x] = buffer[MEDIAN + at]
-                scalars[3, y, x] = max(alpha * m2 - m1 * m1, ZERO)
+                scalars[3, y, x] = max(alpha_sum * m2 - m1 * m1, ZERO)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from . import constants as k
-from .lanes import take_ticket
+from .compiling import kernel
+from .simd import take_ticket
 
 # columns of the projected record: derivatives of u, v, q by pixel, centre, camera z, opacity, z / near, box, state
 UX, UY, VX, VY, QX, QY, CX, CY, Z, OPACITY, Q_MAX, LEFT, RIGHT, TOP, BOTTOM, STATE = range(16)
@@ -32,16 +32,16 @@ MARGIN = _f(k.BOUNDS_MARGIN_PX)
 INFINITY = _f(np.inf)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def unit_quaternion(q: np.ndarray) -> tuple:
-    """Normalised wxyz and the inverse of the norm; divided by the largest entry first, so that squares neither vanish nor overflow."""
+    """Normalised wxyz and 1 / norm; divided by the largest entry first, so that squares neither vanish nor overflow."""
     largest = max(max(abs(q[0]), abs(q[1])), max(abs(q[2]), abs(q[3])))
     w, x, y, z = q[0] / largest, q[1] / largest, q[2] / largest, q[3] / largest
     inverse = _f(1) / math.sqrt(w * w + x * x + y * y + z * z)
     return w * inverse, x * inverse, y * inverse, z * inverse, inverse / largest
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def camera_axes(q: np.ndarray, R: np.ndarray) -> tuple:
     """Columns t_u, t_v, n of the splat's rotation in camera axes (9 numbers), and n in world axes (3)."""
     w, x, y, z, _ = unit_quaternion(q)
@@ -65,7 +65,7 @@ def camera_axes(q: np.ndarray, R: np.ndarray) -> tuple:
     )
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def outline(X: float, z: float, ux: float, uz: float, vx: float, vz: float, r2: float) -> tuple:
     """Interval of x / focal, relative to the centre, that the cut-off circle covers (`reference.bounds`)."""
     eu, ev = ux - X * uz, vx - X * vz
@@ -77,7 +77,7 @@ def outline(X: float, z: float, ux: float, uz: float, vx: float, vz: float, r2: 
     return (ed + spread) / leading, (ed - spread) / leading
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def project(
     counter: np.ndarray,
     means: np.ndarray,
@@ -145,7 +145,7 @@ def project(
             attributes[s, channels + 2] = sign * wz
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def project_backward(
     counter: np.ndarray,
     means: np.ndarray,
@@ -187,7 +187,7 @@ def project_backward(
             z = g[Z]
             X = (R[0, 0] * m[0] + R[0, 1] * m[1] + R[0, 2] * m[2] + R[0, 3]) / z
             Y = (R[1, 0] * m[0] + R[1, 1] * m[1] + R[1, 2] * m[2] + R[1, 3]) / z
-            tux, tuy, tuz, tvx, tvy, tvz, nx, ny, nz, _, _, _ = camera_axes(q, R)
+            _, _, tuz, _, _, tvz, nx, ny, nz, _, _, _ = camera_axes(q, R)
             facing = nx * X + ny * Y + nz
             dX, dY, dz = fx * total[G_CX], fy * total[G_CY], total[G_Z]
             dtux = dtuy = dtuz = dtvx = dtvy = dtvz = dnx = dny = dnz = _f(0)

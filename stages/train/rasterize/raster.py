@@ -111,6 +111,4 @@ def check_inputs(
     if not (float(intrinsics[0, 0]) > 0 and float(intrinsics[1, 1]) > 0) or float(intrinsics[0, 1]) != 0:
         raise ValueError(f"intrinsics need positive fx, fy and no skew, got {intrinsics.tolist()}")
     if pixel_mask is not None and (tuple(pixel_mask.shape) != (height, width) or pixel_mask.dtype != torch.bool):
-        raise ValueError(
-            f"pixel_mask is {tuple(pixel_mask.shape)} {pixel_mask.dtype}, expected bool ({height}, {width})"
-        )
+        raise ValueError(f"pixel_mask is {tuple(pixel_mask.shape)} {pixel_mask.dtype}, expected bool ({height}, {width})")

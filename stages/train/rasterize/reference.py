@@ -214,9 +214,7 @@ def rasterize_reference(
 
     image = torch.zeros(height, width, channels + 7, dtype=dtype)
     for rows, columns in blocks(width, height):
-        y, x = torch.meshgrid(
-            torch.arange(rows.start, rows.stop), torch.arange(columns.start, columns.stop), indexing="ij"
-        )
+        y, x = torch.meshgrid(torch.arange(rows.start, rows.stop), torch.arange(columns.start, columns.stop), indexing="ij")
         wanted = torch.ones_like(x, dtype=torch.bool) if pixel_mask is None else pixel_mask[rows, columns]
         pixels = torch.stack((x[wanted], y[wanted]), -1).to(dtype) + 0.5
         if not len(pixels):

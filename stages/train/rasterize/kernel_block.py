@@ -1,0 +1,132 @@
+"""Numba: one splat over one block of BLOCK x BLOCK pixels, and the planes of a tile it works in."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from . import constants as k
+from .compiling import kernel
+from .kernel_project import BOTTOM, CX, CY, FLAT, LEFT, OPACITY, Q_MAX, QX, QY, RIGHT, STATE, TOP, UX, UY, VX, VY, Z
+from .simd import BLOCK, LANES, any_lane, lane_x, lane_y, load, maximum, minimum, select, store
+
+TILE = 16  # pixels a side
+BLOCKS = TILE // BLOCK  # a side
+PIXELS = TILE * TILE
+
+# A tile works in one flat float32 buffer of planes; a plane holds its blocks one after the other, LANES pixels each.
+TRANSMITTANCE = 0  # negative: the pixel is finished (or not wanted), the size is its final transmittance
+MEDIAN = PIXELS
+MOMENT1 = 2 * PIXELS  # sum of w (z - z_ref)
+MOMENT2 = 3 * PIXELS  # sum of w (z - z_ref)^2
+CHANNELS = 4 * PIXELS  # blended attributes (forward) or their cotangents (backward), PIXELS each
+
+_f = np.float32
+ONE, ZERO, HALF, TWO = _f(1), _f(0), _f(0.5), _f(2)
+CUTOFF_RHO = _f(k.CUTOFF_RHO)
+BEYOND = _f(2 * k.CUTOFF_RHO)
+ALPHA_MIN, ALPHA_MAX, STOP = _f(k.ALPHA_MIN), _f(k.ALPHA_MAX), _f(k.TRANSMITTANCE_STOP)
+Q_MIN = _f(k.MIN_RELATIVE_DEPTH_INVERSE)
+
+# exp(t) on [-9/16, 0], degree 5 at the Chebyshev nodes, relative error 3e-8; squared three times it reaches -4.5
+_fit = np.polynomial.Chebyshev.interpolate(np.exp, 5, domain=[-k.CUTOFF_RHO / 16, 0.0])
+E0, E1, E2, E3, E4, E5 = (_f(c) for c in _fit.convert(kind=np.polynomial.Polynomial).coef)
+TO_T = _f(-1 / 16)
+
+
+@kernel
+def intersect(g: np.ndarray, x0: float, y0: float, screen: float) -> tuple:
+    """Splat record g on the block whose first pixel centre is (x0, y0).
+
+    Returns rows dx, dy, u, v, 1/q, rho (BEYOND where missed), and the mask of lanes where the screen-space kernel rules.
+    screen: SCREEN_INVERSE_VARIANCE; infinity without the low-pass filter (0 * infinity loses both comparisons).
+    """
+    dx = lane_x() + (x0 - g[CX])
+    dy = lane_y() + (y0 - g[CY])
+    q = ONE + g[QX] * dx + g[QY] * dy
+    inverse = ONE / maximum(q, Q_MIN)
+    u = (g[UX] * dx + g[UY] * dy) * inverse
+    v = (g[VX] * dx + g[VY] * dy) * inverse
+    q_max = ZERO if g[STATE] == FLAT else g[Q_MAX]
+    rho_object = select((q > Q_MIN) & (q <= q_max), u * u + v * v, BEYOND)
+    rho_screen = screen * (dx * dx + dy * dy)
+    return dx, dy, u, v, inverse, minimum(rho_screen, rho_object), rho_screen < rho_object
+
+
+@kernel
+def kernel_value(rho: np.ndarray) -> np.ndarray:
+    """exp(-rho / 2) for rho in [0, CUTOFF_RHO]. Row -> Row"""
+    t = rho * TO_T
+    power = E0 + t * (E1 + t * (E2 + t * (E3 + t * (E4 + t * E5))))
+    power = power * power
+    power = power * power
+    return power * power
+
+
+@kernel
+def blend_block(buffer: np.ndarray, g: np.ndarray, block: int, x0: float, y0: float, z_ref: float, screen: float) -> tuple:
+    """Blend one splat into one block; updates the tile's planes but CHANNELS.
+
+    Returns whether anything was blended, whether the block has open pixels left, and rows alpha, transmittance before.
+    """
+    at = block * LANES
+    before = load(buffer, TRANSMITTANCE + at)
+    _, _, _, _, inverse, rho, on_screen = intersect(g, x0, y0, screen)
+    inside = rho <= CUTOFF_RHO
+    if not any_lane(inside):
+        return False, True, rho, before
+    alpha = minimum(g[OPACITY] * kernel_value(rho), ALPHA_MAX)
+    alpha = select(inside & (alpha >= ALPHA_MIN) & (before > ZERO), alpha, ZERO)
+    if not any_lane(alpha > ZERO):
+        return False, True, alpha, before
+    after = before * (ONE - alpha)
+    stop = after < STOP
+    alpha = select(stop, ZERO, alpha)
+    size = maximum(before, ZERO - before)
+    z = select(on_screen, g[Z], g[Z] * inverse)
+    weight = alpha * maximum(before, ZERO)
+    far = (z - z_ref) * weight
+    store(buffer, TRANSMITTANCE + at, select(stop, ZERO - size, after))
+    store(buffer, MEDIAN + at, select((before > HALF) & (after <= HALF), z, load(buffer, MEDIAN + at)))
+    store(buffer, MOMENT1 + at, load(buffer, MOMENT1 + at) + far)
+    store(buffer, MOMENT2 + at, load(buffer, MOMENT2 + at) + far * (z - z_ref))
+    return True, any_lane(after >= STOP), alpha, maximum(before, ZERO)
+
+
+@kernel
+def start_tile(buffer: np.ndarray, mask: np.ndarray, left: int, top: int, planes: int) -> None:
+    """Reset a tile's planes; pixels outside the image or the mask start finished. mask [H, W] bool"""
+    height, width = mask.shape
+    for i in range(CHANNELS + planes * PIXELS):
+        buffer[i] = ZERO
+    for i in range(PIXELS):
+        buffer[TRANSMITTANCE + i] = -ONE
+    for line in range(min(TILE, height - top)):
+        for column in range(min(TILE, width - left)):
+            if mask[top + line, left + column]:
+                buffer[TRANSMITTANCE + pixel_place(line, column)] = ONE
+
+
+@kernel
+def pixel_place(line: int, column: int) -> int:
+    """Index of a tile's pixel in a plane."""
+    return ((line // BLOCK) * BLOCKS + column // BLOCK) * LANES + (line % BLOCK) * BLOCK + column % BLOCK
+
+
+@kernel
+def block_interval(low: float, high: float, origin: int) -> tuple:
+    """First and last + 1 block of the tile at `origin` that has pixel centres in [low, high] (px)."""
+    first = max(low - _f(origin) - HALF, ZERO)
+    last = min(high - _f(origin) - HALF, _f(TILE - 1))
+    if not last >= first:
+        return 0, 0
+    return math.ceil(first) // BLOCK, math.floor(last) // BLOCK + 1
+
+
+@kernel
+def block_range(g: np.ndarray, left: int, top: int) -> tuple:
+    """Columns and lines of blocks under the splat's bounding box: first, last + 1, first, last + 1."""
+    b0, b1 = block_interval(g[LEFT], g[RIGHT], left)
+    c0, c1 = block_interval(g[TOP], g[BOTTOM], top)
+    return b0, b1, c0, c1
