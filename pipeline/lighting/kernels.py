@@ -5,11 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
-GGX, BECKMANN, COSINE, COSINE_TRANSMITTED = 0, 1, 2, 3
+GGX, BECKMANN, COSINE, TRANSMITTED = 0, 1, 2, 3
 # IoR at which the transmitted irradiance level is computed (physics.md 3).
 REFERENCE_IOR = 1.5
 # A pyramid texel is taken whole when its half diagonal is below this share of the lobe's local scale.
 ACCEPT = 0.22
+# Or when a sun anywhere in it changes the row's result by less than this share of itself.
+TOLERANCE = 3e-4
 # Texels of the finest level are sampled with nodes this far apart, in the same scale.
 SAMPLE = 0.35
 MAX_SAMPLES = 24
@@ -72,6 +74,9 @@ def _row(kind, alpha, axis, axes, finest, levels, offsets, total, columns, value
     if kind == BECKMANN:
         reach = min(reach, 2.0 * np.arctan(BECKMANN_REACH * alpha))
     count, have = 0, 0.0
+    norm = 4.0 * np.pi  # of D(h) (n.l) over l, but for the cosine at the horizon
+    if kind == BECKMANN:
+        norm *= alpha * alpha
     for root in range(6 * coarsest * coarsest):
         stack[0, 0] = levels - 1
         stack[0, 1] = root // (coarsest * coarsest)
@@ -98,7 +103,12 @@ def _row(kind, alpha, axis, axes, finest, levels, offsets, total, columns, value
                 scale = 2.0 * alpha
             else:
                 scale = np.sqrt(angle * angle + 4.0 * alpha * alpha)
-            if level > 0 and half > ACCEPT * scale:
+            split = level > 0 and half > ACCEPT * scale
+            if split and kind < COSINE and angle > 2.0 * half:
+                # Far from the peak: how much the cell holds, times how much the kernel varies over it.
+                held = _lobe(kind, dot / r, alpha) / norm * 4.0 / (size * size * r * r * r)
+                split = held * min(1.0, half / scale) > TOLERANCE
+            if split:
                 for child in range(4):
                     stack[top, 0] = level - 1
                     stack[top, 1] = face

@@ -11,15 +11,15 @@ from functools import lru_cache
 
 import numpy as np
 import torch
-from scipy.sparse import csr_matrix, identity, vstack
+from scipy.sparse import csr_matrix, vstack
 
 from pipeline.optics.fresnel import hemispherical_transmittance
 from pipeline.optics.microfacet import MIN_ROUGHNESS
 from pipeline.optics.sphere import cube_solid_angles
 
 from . import kernels
-from .cube import AXES, corner_texels, cube_directions, extended_size, lookup
-from .sparse import SparseMap
+from .cube import AXES, cube_directions, extended_size, lookup
+from .symmetry import SymmetricMap, representatives
 
 LOBES = {"ggx": kernels.GGX, "beckmann": kernels.BECKMANN}
 # Roughness of the levels; between them radiance is interpolated linearly.
@@ -84,13 +84,13 @@ class Prefilter:
         if lobe not in LOBES:
             raise ValueError(f"lobe {lobe!r}: must be one of {', '.join(LOBES)}")
         self.resolution, self.lobe = resolution, lobe
-        self._maps, self.specular, self.cosine, self.transmitted = _build(resolution, lobe)
+        self.operator, self.levels = _build(resolution, lobe)
 
     def apply(self, radiance: torch.Tensor) -> LightField:
         """Prefilter radiance [6, R, R, 3]; differentiable."""
-        pyramid, lobes = self._maps
-        packed = lobes(pyramid(radiance.reshape(-1, radiance.shape[-1])))
-        return LightField(packed, ROUGHNESSES, self.specular, self.cosine, self.transmitted, self.lobe)
+        *specular, cosine, transmitted = self.levels
+        packed = self.operator(pyramid(radiance))
+        return LightField(packed, ROUGHNESSES, tuple(specular), cosine, transmitted, self.lobe)
 
 
 def level_resolution(roughness: float, limit: int) -> int:
@@ -101,48 +101,47 @@ def level_resolution(roughness: float, limit: int) -> int:
 
 
 @lru_cache(maxsize=4)
-def _build(resolution: int, lobe: str) -> tuple[tuple[SparseMap, SparseMap], tuple[Level, ...], Level, Level]:
-    pyramid, offsets = _pyramid(resolution)
-    blocks: list[csr_matrix] = []
-    start = 0
-
-    def add(kind: int, alpha: float, size: int, total: float) -> Level:
-        nonlocal start
-        blocks.append(_block(kind, alpha, size, total, resolution, offsets, pyramid.shape[0]))
-        level = Level(size, start)
-        start += extended_size(size)
-        return level
-
-    specular = tuple(add(LOBES[lobe], r**2, level_resolution(r, resolution), 1.0) for r in ROUGHNESSES)
-    diffuse = min(resolution, DIFFUSE_RESOLUTION)
+def _build(resolution: int, lobe: str) -> tuple[SymmetricMap, tuple[Level, ...]]:
+    sizes = pyramid_sizes(resolution)
     entering = float(hemispherical_transmittance(np.asarray(kernels.REFERENCE_IOR)))
-    cosine = add(kernels.COSINE, 1.0, diffuse, np.pi)
-    transmitted = add(kernels.COSINE_TRANSMITTED, 1.0, diffuse, np.pi * entering)
-    return (SparseMap(pyramid), SparseMap(vstack(blocks).tocsr())), specular, cosine, transmitted
+    diffuse = min(resolution, DIFFUSE_RESOLUTION)
+    wanted = [(LOBES[lobe], r**2, level_resolution(r, resolution), 1.0) for r in ROUGHNESSES]
+    wanted += [(kernels.COSINE, 1.0, diffuse, np.pi), (kernels.TRANSMITTED, 1.0, diffuse, np.pi * entering)]
+    blocks, levels, start = [], [], 0
+    for kind, alpha, size, total in wanted:
+        blocks.append(_rows(kind, alpha, size, total, sizes))
+        levels.append(Level(size, start))
+        start += extended_size(size)
+    return SymmetricMap(sizes, [level.resolution for level in levels], vstack(blocks)), tuple(levels)
 
 
-def _pyramid(resolution: int) -> tuple[csr_matrix, np.ndarray]:
-    """Map from texels to all of them and their means in ever coarser cubes, and where each cube begins."""
-    size, offsets, blocks = resolution, [0], [identity(6 * resolution**2, format="csr")]
-    while size > COARSEST:
-        area = np.tile(cube_solid_angles(size).ravel(), 6)
-        face, j, i = np.unravel_index(np.arange(area.size), (6, size, size))
-        parent = (face * (size // 2) + j // 2) * (size // 2) + i // 2
-        share = area / np.bincount(parent, area)[parent]
-        offsets.append(offsets[-1] + area.size)
-        step = csr_matrix((share, (parent, np.arange(area.size))), shape=(area.size // 4, area.size))
-        blocks.append(step @ blocks[-1])
-        size //= 2
-    return vstack(blocks).tocsr(), np.array(offsets)
+def pyramid_sizes(resolution: int) -> list[int]:
+    """Resolutions of a cube and its ever coarser means."""
+    sizes = [resolution]
+    while sizes[-1] > COARSEST:
+        sizes.append(sizes[-1] // 2)
+    return sizes
 
 
-def _block(kind: int, alpha: float, size: int, total: float, resolution: int, offsets: np.ndarray, width: int) -> csr_matrix:
-    """Rows of one level's extended table: texels, then the means at the corners."""
-    directions = cube_directions(size).reshape(-1, 3)
-    where = (kind, float(alpha), directions, AXES, resolution, len(offsets), offsets)
+def pyramid(radiance: torch.Tensor) -> torch.Tensor:
+    """A cube's texels [6, R, R, C] and their means in all coarser cubes, stacked [S, C]."""
+    levels = [radiance]
+    for size in pyramid_sizes(radiance.shape[1])[1:]:
+        area = torch.as_tensor(cube_solid_angles(2 * size), dtype=radiance.dtype, device=radiance.device)
+        share = area / torch.as_tensor(cube_solid_angles(size), dtype=area.dtype, device=area.device).repeat_interleave(
+            2, 0
+        ).repeat_interleave(2, 1)
+        fine = levels[-1] * share[None, :, :, None]
+        levels.append(fine.reshape(6, size, 2, size, 2, -1).sum((2, 4)))
+    return torch.cat([level.reshape(-1, radiance.shape[-1]) for level in levels])
+
+
+def _rows(kind: int, alpha: float, size: int, total: float, sizes: list[int]) -> csr_matrix:
+    """Weights of one level at the representatives of its texels, which sum to `total`."""
+    offsets = np.concatenate(([0], np.cumsum([6 * n * n for n in sizes])))
+    directions = cube_directions(size).reshape(-1, 3)[representatives(size)[0]]
+    where = (kind, float(alpha), directions, AXES, sizes[0], len(sizes), offsets)
     starts = np.concatenate(([0], np.cumsum(kernels.count_rows(*where))))
     columns, values = np.empty(starts[-1], np.int32), np.empty(starts[-1])
     kernels.fill_rows(*where, total, starts, columns, values)
-    texels = csr_matrix((values, columns, starts), shape=(len(directions), width))
-    mean = csr_matrix((np.full(24, 1 / 3), corner_texels(size).ravel(), np.arange(0, 25, 3)), shape=(8, len(directions)))
-    return vstack((texels, mean @ texels)).tocsr()
+    return csr_matrix((values, columns, starts), shape=(len(directions), offsets[-1]))
