@@ -1,0 +1,126 @@
+"""Diffuse normal and albedo of one pixel: least squares on the lights that reach it.
+
+PRF Eq. 12 on a fixed active set is linear least squares (the maximiser of the correlation is `(ΩᵀΩ)⁻¹ Ωᵀ I`); shadows
+and inter-reflection are told apart from direct light by the residual, and the set is updated with the normal.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from stages.olat.numerics import FAST, HALF, ONE, ZERO, kth_largest, solve3
+
+START_FRACTION = 0.3  # of the fifth-brightest sample: above it a light is surely not shadowed
+TUNING = 2.5  # Geman-McClure scale in standard deviations of the residual
+SCALE_FLOOR = 4e-3  # of the brightest possible sample: half floats and path-tracing noise; below it weights are all one
+SHADOWED = np.float32(0.5)  # a sample under this fraction of its prediction is in shadow
+GRAZING = np.float32(0.02)  # cosine below which a light says nothing about the normal
+MAD = 1.4826  # standard deviation of a normal distribution over its median absolute deviation
+
+
+@njit(cache=True, fastmath=FAST)
+def _normal_equations(light, wx, wy, wz, weight):
+    a = b = c = d = e = f = x = y = z = ZERO * light[0]
+    for k in range(light.size):
+        w = weight[k]
+        p, q, r = w * wx[k], w * wy[k], w * wz[k]
+        a += p * wx[k]
+        b += p * wy[k]
+        c += p * wz[k]
+        d += q * wy[k]
+        e += q * wz[k]
+        f += r * wz[k]
+        x += p * light[k]
+        y += q * light[k]
+        z += r * light[k]
+    return a, b, c, d, e, f, x, y, z
+
+
+@njit(cache=True, fastmath=FAST)
+def _threshold(light, ok, level, weight):
+    n = ZERO * light[0]
+    for k in range(light.size):
+        weight[k] = ok[k] if light[k] > level else ZERO
+        n += weight[k]
+    return n
+
+
+@njit(cache=True, fastmath=FAST)
+def _reweight(light, ok, wx, wy, wz, bx, by, bz, grazing, inverse, weight):
+    """Geman-McClure weights of lights that are not shadowed; returns the weighted square residual and the weights' sum."""
+    ss = sw = ZERO * light[0]
+    for k in range(light.size):
+        p = bx * wx[k] + by * wy[k] + bz * wz[k]
+        r = light[k] - p
+        t = r * inverse
+        u = ONE / (ONE + t * t)
+        w = ok[k] * u * u
+        w = w if (p > grazing) and (light[k] > SHADOWED * p) else ZERO
+        weight[k] = w
+        ss += w * r * r
+        sw += w
+    return ss, sw
+
+
+@njit(cache=True)
+def _residual_scale(light, ok, wx, wy, wz, bx, by, bz, grazing, work, scratch):
+    n = 0
+    for k in range(light.size):
+        p = bx * wx[k] + by * wy[k] + bz * wz[k]
+        if ok[k] > 0 and p > grazing and light[k] > SHADOWED * p:
+            work[n] = abs(light[k] - p)
+            n += 1
+    return MAD * kth_largest(work, n, n // 2, scratch) if n > 0 else 0.0
+
+
+@njit(cache=True)
+def fit_normal(light, ok, wx, wy, wz, rounds, weight, work, scratch):
+    """Scaled diffuse normal `m` = (albedo x normal) of one pixel.
+
+    light [N]: I_d over irradiance factor; ok [N]: 1 usable, 0 not; w [N]: directions to the lights; `weight` [N] is
+    filled with the final weights. Returns (mx, my, mz, residual scale, lights in use, solved).
+    """
+    usable = 0
+    for k in range(light.size):
+        if ok[k] > 0:
+            work[usable] = light[k]
+            usable += 1
+    if usable < 3:
+        weight[:] = ZERO
+        return 0.0, 0.0, 0.0, 0.0, usable, False
+    top = kth_largest(work, usable, min(4, usable - 1), scratch)
+    solved = False
+    mx = my = mz = 0.0
+    if top > 0:
+        for fraction in (START_FRACTION, 0.1, 0.02, 0.0):
+            n = _threshold(light, ok, light.dtype.type(fraction * top), weight)
+            if n >= 3:
+                a, b, c, d, e, f, x, y, z = _normal_equations(light, wx, wy, wz, weight)
+                mx, my, mz, solved = solve3(a, b, c, d, e, f, x, y, z)
+            if solved:
+                break
+    if not solved:
+        return 0.0, 0.0, 0.0, 0.0, usable, False
+    scale, used = 0.0, usable
+    kind = light.dtype.type
+    for step in range(rounds):
+        size = math.sqrt(mx * mx + my * my + mz * mz)
+        bx, by, bz, grazing = kind(mx), kind(my), kind(mz), kind(GRAZING * size)
+        if step < 3:
+            scale = _residual_scale(light, ok, wx, wy, wz, bx, by, bz, grazing, work, scratch)
+        scale = max(scale, SCALE_FLOOR * size)
+        ss, sw = _reweight(light, ok, wx, wy, wz, bx, by, bz, grazing, kind(1.0 / (TUNING * scale)), weight)
+        a, b, c, d, e, f, x, y, z = _normal_equations(light, wx, wy, wz, weight)
+        nx, ny, nz, fine = solve3(a, b, c, d, e, f, x, y, z)
+        if not fine or sw < 3.0 * HALF:
+            break
+        change = abs(nx - mx) + abs(ny - my) + abs(nz - mz)
+        mx, my, mz = nx, ny, nz
+        if step >= 2:
+            scale = math.sqrt(ss / sw) * 1.22  # Gaussian residuals under these weights have 0.82 of their deviation
+        if step > 2 and change < 1e-7 * size:
+            break
+    return mx, my, mz, scale, used, True

@@ -1,0 +1,148 @@
+"""Frames of one camera, read in bands of scanlines: only the pixels inside the mask are kept, half floats stay half floats."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.errors import UserError
+
+CHUNK_ROWS = 16  # scanlines that EXR's zip compresses together: a band that splits them reads them twice
+READERS = 2
+
+
+@dataclass(frozen=True)
+class Band:
+    """Scanlines [top, bottom) of a camera and the mask's pixels in them: `pixels` are indices row * width + column."""
+
+    top: int
+    bottom: int
+    pixels: NDArray[np.intp]
+
+
+@dataclass
+class Samples:
+    """What a band holds: cross and parallel [N, P, 3], half-float bits (uint16) or float32."""
+
+    band: Band
+    cross: NDArray
+    parallel: NDArray
+
+
+def bands_of(mask: NDArray[np.bool_], lights: int, band_mb: float, itemsize: int) -> list[Band]:
+    """Bands of whole compression chunks, each with at most `band_mb` MiB of samples (or one chunk), none empty."""
+    per_pixel = lights * 6 * itemsize / 2**20
+    height, width = mask.shape
+    rows = mask.sum(1)
+    bands: list[Band] = []
+    top = 0
+    while top < height:
+        bottom, count = top, 0
+        while bottom < height:
+            end = min(bottom + CHUNK_ROWS, height)
+            more = int(rows[bottom:end].sum())
+            if bottom > top and (count + more) * per_pixel > band_mb:
+                break
+            if count == 0 and more == 0 and bottom == top:
+                top = bottom = end
+                continue
+            bottom, count = end, count + more
+        if count:
+            pixels = np.flatnonzero(mask[top:bottom]) + top * width
+            bands.append(Band(top, bottom, pixels))
+        top = bottom
+    return bands
+
+
+def is_half(path: Path) -> bool:
+    """Whether a frame stores half floats. Raises UserError."""
+    image, spec = _open(path)
+    image.close()
+    return str(spec.format) == "half"
+
+
+def read_bands(
+    cross: list[Path], parallel: list[Path], bands: list[Band], half: bool, readers: int = READERS
+) -> Iterator[Samples]:
+    """The samples of each band in turn; the next band is read while the caller works on this one. Raises UserError."""
+    frames = [*cross, *parallel]
+    count = len(cross)
+    kind = np.uint16 if half else np.float32
+
+    def begin(pool: ThreadPoolExecutor, band: Band) -> tuple[Samples, list[Future]]:
+        buffer = np.empty((2, count, len(band.pixels), 3), kind)
+        samples = Samples(band, buffer[0], buffer[1])
+        parts = [frames[k :: 4 * readers] for k in range(4 * readers)]
+        places = [range(2 * count)[k :: 4 * readers] for k in range(4 * readers)]
+        flat = buffer.reshape(2 * count, len(band.pixels), 3)
+        tasks = [pool.submit(_read_part, part, place, band, half, flat) for part, place in zip(parts, places)]
+        return samples, tasks
+
+    with ThreadPoolExecutor(readers) as pool:
+        ahead = begin(pool, bands[0]) if bands else None
+        try:
+            for index in range(len(bands)):
+                assert ahead is not None
+                samples, tasks = ahead
+                for task in tasks:
+                    task.result()
+                ahead = begin(pool, bands[index + 1]) if index + 1 < len(bands) else None
+                yield samples
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+
+
+def _read_part(paths: list[Path], places: range, band: Band, half: bool, out: NDArray) -> None:
+    for path, place in zip(paths, places):
+        rows = read_rows(path, band.top, band.bottom, half)
+        start = band.top * rows.shape[1]
+        out[place] = rows.reshape(-1, 3)[band.pixels - start]
+
+
+def read_rows(path: Path, top: int, bottom: int, half: bool) -> NDArray:
+    """Scanlines [top, bottom) of a frame's R, G, B: [rows, W, 3] uint16 (half bits) or float32. Raises UserError."""
+    image, spec = _open(path)
+    kind = "half" if half else "float"
+    if spec.tile_width:
+        low, high = top - top % spec.tile_height, min(-(-bottom // spec.tile_height) * spec.tile_height, spec.height)
+        pixels = image.read_tiles(0, 0, 0, spec.width, low, high, 0, 1, 0, spec.nchannels, kind)
+        top, bottom = top - low, bottom - low
+        pixels = None if pixels is None else np.asarray(pixels).reshape(high - low, spec.width, -1)[top:bottom]
+    else:
+        pixels = image.read_scanlines(0, 0, top, bottom, 0, 0, spec.nchannels, kind)
+        pixels = None if pixels is None else np.asarray(pixels).reshape(bottom - top, spec.width, -1)
+    error = image.geterror() if pixels is None else ""
+    image.close()
+    if pixels is None:
+        reason = (error.strip().splitlines() or ["no reason given"])[0]
+        raise UserError(path, f"the image is truncated or corrupt ({reason})", "copy it again from its source")
+    return _rgb(pixels, list(spec.channelnames), path).view(np.uint16 if half else np.float32)
+
+
+def _rgb(pixels: NDArray, names: list[str], path: Path) -> NDArray:
+    """R, G, B by name; a single channel stands for all three."""
+    lower = [name.lower() for name in names]
+    if lower[:3] == ["r", "g", "b"]:
+        return np.ascontiguousarray(pixels[..., :3])
+    if {"r", "g", "b"} <= set(lower):
+        return np.ascontiguousarray(pixels[..., [lower.index(c) for c in "rgb"]])
+    if len(names) == 1:
+        return np.ascontiguousarray(np.repeat(pixels, 3, axis=-1))
+    raise UserError(path, f"has channels {', '.join(names)}, not R G B", "export RGB frames")
+
+
+def _open(path: Path):
+    import OpenImageIO as oiio
+
+    if not path.is_file():
+        raise UserError(path, "no such frame", "run decode again, or copy the frame back")
+    image = oiio.ImageInput.open(str(path))
+    if image is None:
+        reason = (oiio.geterror().strip().splitlines() or ["no reason given"])[0]
+        raise UserError(path, f"cannot be read as an image ({reason})", "copy it again from its source")
+    return image, image.spec()

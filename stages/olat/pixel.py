@@ -1,0 +1,455 @@
+"""The whole chain for one pixel: separation, diffuse fit, visibility, specular fit, maps, fusion."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from stages.olat.diffuse import fit_normal
+from stages.olat.lobes import evaluate
+from stages.olat.numerics import FAST, HALF, ONE, ZERO
+from stages.olat.specular import (
+    LOBE_FRACTION,
+    SIGMA_MAX,
+    frame_about,
+    half_vectors,
+    optimise,
+    reweight,
+    start_normal,
+    start_shape,
+    widths,
+)
+
+GOOD, TOO_FEW, SATURATED, BLACK, NO_LOBE, BAD_SAMPLES = range(6)
+BAD_SHARE = 0.1  # of a pixel's samples that may be not finite before the pixel is flagged
+NOISE_FLOOR = 1e-3  # of the brightest sample: half floats are this coarse
+EFFECTIVE_LIGHTS = 3.0  # a lobe seen by fewer has no width
+ROUND = 0.03  # anisotropy below which a lobe is fitted as round
+NARROW = 1e-3
+
+MAPS = {
+    "diffuse_albedo": ("R", "G", "B"),
+    "specular_albedo": ("Y",),
+    "diffuse_normal": ("X", "Y", "Z"),
+    "specular_normal": ("X", "Y", "Z"),
+    "normal": ("X", "Y", "Z"),
+    "tangent": ("X", "Y", "Z"),
+    "sigma": ("X", "Y"),
+    "roughness": ("Y",),
+    "anisotropy": ("Y",),
+    "occlusion_d": ("Y",),
+    "occlusion_s": ("Y",),
+    "visibility_d": ("Y",),
+    "visibility_s": ("Y",),
+    "interreflection_d": ("R", "G", "B"),
+    "interreflection_s": ("Y",),
+    "residual": ("Y", "flag"),
+}
+"""Maps of one camera and their channels, in the order of a pixel's row of results."""
+
+
+def columns() -> dict[str, slice]:
+    """Where each map lies in a pixel's row."""
+    out, at = {}, 0
+    for name, channels in MAPS.items():
+        out[name] = slice(at, at + len(channels))
+        at += len(channels)
+    return out
+
+
+_AT = {name: place.start for name, place in columns().items()}
+ALBEDO_D, ALBEDO_S, NORMAL_D, NORMAL_S = (
+    _AT[n] for n in ("diffuse_albedo", "specular_albedo", "diffuse_normal", "specular_normal")
+)
+NORMAL, TANGENT, SIGMA, ROUGHNESS = (_AT[n] for n in ("normal", "tangent", "sigma", "roughness"))
+ANISOTROPY, OCCLUSION_D, OCCLUSION_S = (_AT[n] for n in ("anisotropy", "occlusion_d", "occlusion_s"))
+VISIBILITY_D, VISIBILITY_S = _AT["visibility_d"], _AT["visibility_s"]
+INTER_D, INTER_S, RESIDUAL = (_AT[n] for n in ("interreflection_d", "interreflection_s", "residual"))
+FLAG = RESIDUAL + 1
+WIDTH = FLAG + 1
+
+
+class Settings(NamedTuple):
+    """What the kernels need to know; plain numbers, so that numba can take it."""
+
+    lobe: int
+    rounds: int  # reweighting rounds of the diffuse fit
+    robust: int  # reweighting rounds of the specular fit
+    steps: int  # Levenberg-Marquardt steps at the end
+    tolerance: float  # gradient norm, data of unit norm, at which a fit ends
+    saturation: float  # radiance from which a sample is clipped (inf: none is)
+    specular_factor: float
+    irradiance: float
+
+
+class Room(NamedTuple):
+    """Workspace of one thread for pixels with N lights."""
+
+    rgb: np.ndarray  # [3, N] I_d in albedo units
+    diffuse: np.ndarray  # [N] their mean
+    specular: np.ndarray  # [N] I_s per unit irradiance
+    ok: np.ndarray
+    use: np.ndarray
+    floor: np.ndarray
+    weight: np.ndarray
+    work: np.ndarray
+    scratch: np.ndarray
+    front: np.ndarray  # [N] indices of the lights before the surface
+    light: np.ndarray
+    area: np.ndarray
+    cosine: np.ndarray
+    robust: np.ndarray
+    residual: np.ndarray
+    incident: np.ndarray  # [3, N]
+    half: np.ndarray  # [3, N]
+    local: np.ndarray  # [6, N]
+    jacobian: np.ndarray
+    trial: np.ndarray
+
+
+@njit(cache=True)
+def make_room(n, like):
+    """Workspace for `n` lights in the precision of the array `like`."""
+    one = np.zeros((13, n), like.dtype)
+    return Room(
+        np.zeros((3, n), like.dtype), one[0], one[1], one[2], one[3], one[4], one[5], one[6], one[7],
+        np.zeros(n, np.int64), one[8], one[9], one[10], one[11], one[12],
+        np.zeros((3, n), like.dtype), np.zeros((3, n), like.dtype), np.zeros((6, n), like.dtype),
+        np.zeros((6, n), like.dtype), np.zeros((6, n), like.dtype),
+    )  # fmt: skip
+
+
+@njit(cache=True, fastmath=FAST)
+def separate(cross, parallel, energy, settings, room):
+    """I_d = 2 I_x and I_s = f (I_p - I_x) per unit of irradiance; marks samples that are not finite or clipped.
+
+    cross, parallel [3, N]. Returns (samples that are bad, clipped, brightest diffuse, brightest specular).
+    """
+    kind = energy.dtype.type
+    level = kind(settings.saturation)
+    scale_d = kind(2.0 * math.pi / settings.irradiance)
+    scale_s = kind(settings.specular_factor / (3.0 * settings.irradiance))
+    third = kind(1.0 / 3.0)
+    bad = clipped = 0
+    top_d = top_s = ZERO * energy[0]
+    for k in range(energy.size):
+        r, g, b = cross[0, k], cross[1, k], cross[2, k]
+        x, y, z = parallel[0, k], parallel[1, k], parallel[2, k]
+        total = r + g + b + x + y + z
+        fine = abs(total) < kind(1e30)  # false for NaN and Inf
+        clip_x = max(r, g, b) >= level
+        clip_p = max(x, y, z) >= level
+        e = ONE / energy[k] if fine else ZERO
+        if not fine:
+            r = g = b = x = y = z = ZERO
+            bad += 1
+        if clip_x or clip_p:
+            clipped += 1
+        d = scale_d * e
+        room.rgb[0, k], room.rgb[1, k], room.rgb[2, k] = d * r, d * g, d * b
+        mean = d * (r + g + b) * third
+        room.diffuse[k] = mean
+        s = scale_s * e * (x + y + z - r - g - b)
+        room.specular[k] = s
+        room.ok[k] = ONE if fine and not clip_x else ZERO
+        room.floor[k] = ONE if clip_p else ZERO
+        top_d = max(top_d, mean if fine else ZERO)
+        top_s = max(top_s, s)
+    return bad, clipped, top_d, top_s
+
+
+@njit(cache=True, fastmath=FAST)
+def _albedo(rgb, diffuse, wx, wy, wz, nx, ny, nz, weight, out):
+    """PRF Eq. 16: ratio of two dot products over the lights in use; `out` [3] is filled. Returns the residual's square sums."""
+    r = g = b = den = ZERO * nx
+    for k in range(weight.size):
+        p = nx * wx[k] + ny * wy[k] + nz * wz[k]
+        w = weight[k] * p
+        r += w * rgb[0, k]
+        g += w * rgb[1, k]
+        b += w * rgb[2, k]
+        den += w * p
+    if den > ZERO:
+        out[0], out[1], out[2] = r / den, g / den, b / den
+    else:
+        out[0] = out[1] = out[2] = ZERO
+
+
+@njit(cache=True, fastmath=FAST)
+def _behind(light, ok, wx, wy, wz, nx, ny, nz):
+    """Root mean square of the samples whose light is behind the surface: noise and inter-reflection."""
+    s = n = ZERO * nx
+    for k in range(light.size):
+        p = nx * wx[k] + ny * wy[k] + nz * wz[k]
+        w = ok[k] if p < -HALF * HALF else ZERO
+        s += w * light[k] * light[k]
+        n += w
+    return math.sqrt(s / n) if n > ZERO else ZERO
+
+
+@njit(cache=True)
+def _diffuse_maps(room, w, area, nx, ny, nz, albedo, zeta, out):
+    """Visibility, occlusion (Eq. 5, normalised by the rig's own unoccluded sum), inter-reflection (Eq. 4)."""
+    seen = front = lit = whole = 0.0
+    r = g = b = 0.0
+    square = data = 0.0
+    for k in range(area.size):
+        p = nx * w[0, k] + ny * w[1, k] + nz * w[2, k]
+        v = room.diffuse[k]
+        if p > 0:
+            front += 1
+            whole += p * area[k]
+            visible = v > 0.5 * albedo * p or albedo * p < 2 * zeta
+            if room.ok[k] == 0:  # clipped: surely lit; not finite: unknown, counted as lit
+                visible = True
+            room.use[k] = ONE if visible else ZERO
+            if visible:
+                seen += 1
+                lit += p * area[k]
+                if room.ok[k] > 0:
+                    square += (v - albedo * p) ** 2
+                    data += v * v
+        else:
+            room.use[k] = ZERO
+            if room.ok[k] > 0 and v > zeta:
+                e = -p * area[k] / math.pi
+                r += e * room.rgb[0, k]
+                g += e * room.rgb[1, k]
+                b += e * room.rgb[2, k]
+    out[VISIBILITY_D] = seen / front if front > 0 else 0.0
+    out[OCCLUSION_D] = lit / whole if whole > 0 else 0.0
+    out[INTER_D], out[INTER_D + 1], out[INTER_D + 2] = max(r, 0.0), max(g, 0.0), max(b, 0.0)
+    return square, data
+
+
+@njit(cache=True)
+def _specular_maps(room, n, g, rho, zeta, all_area, w, nx, ny, nz, out):
+    """Share of the lobe's lights and energy that arrives, and what arrives from behind; returns residual sums."""
+    seen = expected = lit = whole = 0.0
+    square = data = 0.0
+    for k in range(n):
+        p, v = rho * g[k], room.light[k]
+        whole += p * room.area[k]
+        arrives = v > 0.5 * p or p < 2 * zeta
+        if arrives:
+            lit += p * room.area[k]
+        if p > 2 * zeta:
+            expected += 1
+            seen += 1 if arrives else 0
+        if room.robust[k] > 0 and not (room.floor[room.front[k]] > 0 and p > v):
+            square += (v - p) ** 2
+            data += v * v
+    out[VISIBILITY_S] = seen / expected if expected > 0 else 0.0
+    out[OCCLUSION_S] = lit / whole if whole > 0 else 0.0
+    s = 0.0
+    for k in range(all_area.size):
+        p = nx * w[0, k] + ny * w[1, k] + nz * w[2, k]
+        if p < 0 and room.ok[k] > 0 and room.specular[k] > zeta:
+            s -= p * all_area[k] * room.specular[k]
+    out[INTER_S] = max(s, 0.0)
+    return square, data
+
+
+@njit(cache=True)
+def _gather(room, w, o, n_d, solved):
+    """Lights before the surface, packed: their directions, half vectors, samples and whether they are seen."""
+    n = 0
+    for k in range(room.diffuse.size):
+        p = n_d[0] * w[0, k] + n_d[1] * w[1, k] + n_d[2] * w[2, k]
+        if (p > 0 or not solved) and room.ok[k] > 0:
+            room.front[n] = k
+            n += 1
+    for j in range(n):
+        k = room.front[j]
+        room.light[j] = room.specular[k]
+        room.incident[0, j], room.incident[1, j], room.incident[2, j] = w[0, k], w[1, k], w[2, k]
+        room.work[j] = room.floor[k]
+        room.weight[j] = room.use[k] if solved else ONE
+    return n
+
+
+@njit(cache=True)
+def fit_pixel(cross, parallel, w, o, area, energy, settings, room, out):
+    """Fill `out` [WIDTH] for one pixel from its samples cross, parallel [3, N] (N lights at directions w [3, N]).
+
+    o [3]: unit, to the camera; area [N]: solid angles (sr); energy [N]: relative irradiance of each light. `out[FLAG]` says how
+    far the row is to be trusted; it never holds anything that is not finite. Returns (specular gradient norm, passes).
+    """
+    kind = energy.dtype.type
+    out[:] = 0.0
+    bad, clipped, top_d, top_s = separate(cross, parallel, energy, settings, room)
+    count = energy.size
+    flag = GOOD
+    if bad > BAD_SHARE * count:
+        flag = BAD_SAMPLES
+    if not (top_d > 0 or top_s > 0):
+        out[FLAG] = BAD_SAMPLES if bad > BAD_SHARE * count else BLACK
+        if clipped * 2 > count:
+            out[FLAG] = SATURATED
+        for k in range(3):
+            out[NORMAL_D + k] = out[NORMAL_S + k] = out[NORMAL + k] = o[k]
+        return 0.0, 0
+
+    # diffuse
+    mx, my, mz, scale, usable, solved = fit_normal(
+        room.diffuse, room.ok, w[0], w[1], w[2], settings.rounds, room.weight, room.work, room.scratch
+    )
+    size = math.sqrt(mx * mx + my * my + mz * mz)
+    solved = solved and size > 0
+    n_d = (o[0], o[1], o[2])
+    square_d = data_d = 0.0
+    variance_d = 1e6
+    if solved:
+        n_d = (mx / size, my / size, mz / size)
+        nx, ny, nz = kind(n_d[0]), kind(n_d[1]), kind(n_d[2])
+        _albedo(room.rgb, room.diffuse, w[0], w[1], w[2], nx, ny, nz, room.weight, out[ALBEDO_D:])
+        for k in range(3):
+            out[ALBEDO_D + k] = max(out[ALBEDO_D + k], 0.0)
+        in_use = 0.0
+        for k in range(count):
+            in_use += room.weight[k]
+        variance_d = (scale / size) ** 2 * 3.0 / max(in_use, 1.0)
+        zeta = 2 * _behind(room.diffuse, room.ok, w[0], w[1], w[2], nx, ny, nz) + NOISE_FLOOR * top_d
+        square_d, data_d = _diffuse_maps(room, w, area, n_d[0], n_d[1], n_d[2], size, zeta, out)
+    elif flag == GOOD:
+        flag = SATURATED if clipped * 2 > count else TOO_FEW
+    for k in range(3):
+        out[NORMAL_D + k] = n_d[k]
+
+    # specular
+    n = _gather(room, w, o, n_d, solved)
+    norm, passes, variance_s, square_s, data_s = 0.0, 0, 1e6, 0.0, 0.0
+    fitted = False
+    n_s = n_d
+    if n >= 3:
+        fitted, n_s, norm, passes, variance_s, square_s, data_s, lobe_flag = _fit_lobe(
+            n, w, o, area, settings, n_d, solved, variance_d, top_d, room, out
+        )
+        flag = lobe_flag if flag == GOOD else flag
+    elif flag == GOOD:
+        flag = TOO_FEW
+    for k in range(3):
+        out[NORMAL_S + k] = n_s[k]
+    if not solved and fitted:
+        n_d = n_s
+        for k in range(3):
+            out[NORMAL_D + k] = n_s[k]
+
+    # fusion by inverse variance
+    a, b = 1.0 / variance_d, 1.0 / variance_s
+    x, y, z = a * n_d[0] + b * n_s[0], a * n_d[1] + b * n_s[1], a * n_d[2] + b * n_s[2]
+    length = math.sqrt(x * x + y * y + z * z)
+    if length > 0:
+        out[NORMAL], out[NORMAL + 1], out[NORMAL + 2] = x / length, y / length, z / length
+    else:
+        out[NORMAL], out[NORMAL + 1], out[NORMAL + 2] = n_d[0], n_d[1], n_d[2]
+    total = data_d / (math.pi * math.pi) + data_s
+    out[RESIDUAL] = math.sqrt((square_d / (math.pi * math.pi) + square_s) / total) if total > 0 else 0.0
+    out[FLAG] = flag
+    return norm, passes
+
+
+@njit(cache=True)
+def _fit_lobe(n, w, o, area, settings, n_d, solved, variance_d, top_d, room, out):
+    """Specular part of a pixel: start, robust joint fit, maps. See `fit_pixel`."""
+    kind = area.dtype.type
+    light, use, floor = room.light[:n], room.robust[:n], room.scratch[:n]
+    weight, residual = room.cosine[:n], room.residual[:n]
+    half, incident = room.half[:, :n], room.incident[:, :n]
+    areas, cosine = room.area[:n], room.cosine[:n]
+    for j in range(n):
+        areas[j] = area[room.front[j]]
+        use[j] = room.weight[j]
+        floor[j] = room.work[j]
+    half_vectors(incident[0], incident[1], incident[2], kind(o[0]), kind(o[1]), kind(o[2]), half[0], half[1], half[2], cosine)
+    top = noise = total = squares = clipped = 0.0
+    for j in range(n):
+        v = light[j]
+        if use[j] > 0:
+            top = max(top, v)
+            if v > 0:
+                total += v
+                squares += v * v
+                clipped += v if floor[j] > 0 else 0.0
+    negative = 0.0
+    for j in range(n):
+        if light[j] < 0:
+            noise += light[j] * light[j]
+            negative += 1
+    noise = math.sqrt(noise / negative) if negative > 0 else 0.0
+    nothing = (False, n_d, 0.0, 0, 1e6, 0.0, 0.0, NO_LOBE)
+    if not (top > 5 * noise and top > 1e-4 * top_d):
+        return nothing
+    effective = total * total / squares
+    x, y, z, samples = start_normal(light, use, LOBE_FRACTION * top, areas, half, cosine)
+    if samples == 0:
+        return nothing
+    if x * o[0] + y * o[1] + z * o[2] < 0.02 and solved:
+        x, y, z = n_d
+    frame, shape, rho = np.empty((3, 3)), np.empty(3), np.empty(1)
+    frame_about(x, y, z, frame)
+    start_shape(light, use, LOBE_FRACTION * top, areas, half, cosine, frame, shape)
+    local, jacobian, trial = room.local[:, :n], room.jacobian[:, :n], room.trial[:, :n]
+    evaluate(settings.lobe, frame, shape, 1.0, o, half, incident, local, jacobian)
+    rho[0] = _linear_albedo(jacobian[5], light, use, floor)
+    flag = GOOD
+    norm, passes, cost = 0.0, 0, 0.0
+    if clipped > 0.5 * total:
+        flag = SATURATED
+    narrow = effective < EFFECTIVE_LIGHTS
+    if narrow and flag == GOOD:
+        flag = TOO_FEW
+    for j in range(n):
+        weight[j] = use[j]  # the cosines are spent
+    if not narrow:
+        for _ in range(settings.robust):
+            reweight(jacobian[5], kind(rho[0]), light, use, kind(0.02 * top + 3 * noise), kind(0.2), weight)
+            cost, norm, more = optimise(settings.lobe, frame, shape, rho, o, half, incident, light, floor, weight, False, 3,
+                                        settings.tolerance, local, jacobian, trial, residual)  # fmt: skip
+            passes += more
+            evaluate(settings.lobe, frame, shape, rho[0], o, half, incident, local, jacobian)
+        cost, norm, more = optimise(settings.lobe, frame, shape, rho, o, half, incident, light, floor, weight, False,
+                                    settings.steps, settings.tolerance, local, jacobian, trial, residual)  # fmt: skip
+        passes += more
+        large, small, angle = widths(shape)
+        if (large - small) / (large + small) < ROUND:
+            shape[0] = shape[1] = 0.5 * (shape[0] + shape[1])
+            shape[2] = 0.0
+            cost, norm, more = optimise(settings.lobe, frame, shape, rho, o, half, incident, light, floor, weight, True,
+                                        settings.steps, settings.tolerance, local, jacobian, trial, residual)  # fmt: skip
+            passes += more
+    evaluate(settings.lobe, frame, shape, rho[0], o, half, incident, local, jacobian)
+    rho[0] = _linear_albedo(jacobian[5], light, weight, floor)
+    large, small, angle = widths(shape)
+    if large >= 0.99 * SIGMA_MAX or not rho[0] > 0:
+        flag = NO_LOBE
+    if not (math.isfinite(large) and math.isfinite(small) and math.isfinite(rho[0]) and math.isfinite(frame[2, 0])):
+        return nothing
+    out[ALBEDO_S] = rho[0]
+    out[SIGMA], out[SIGMA + 1] = large, small
+    out[ROUGHNESS] = (large * small) ** 0.25
+    out[ANISOTROPY] = (large - small) / (large + small)
+    if out[ANISOTROPY] > NARROW:
+        for k in range(3):
+            out[TANGENT + k] = math.cos(angle) * frame[0, k] + math.sin(angle) * frame[1, k]
+    n_s = (frame[2, 0], frame[2, 1], frame[2, 2])
+    zeta = 2 * noise + 0.01 * top
+    square, data = _specular_maps(room, n, jacobian[5], rho[0], zeta, area, w, n_s[0], n_s[1], n_s[2], out)
+    in_lobe = max(effective, 1.0)
+    variance = (square / max(data, 1e-30) + 1e-6) * large * small / in_lobe + (1.0 if flag != GOOD else 0.0)
+    return True, n_s, norm, passes, variance, square, data, flag
+
+
+@njit(cache=True)
+def _linear_albedo(g, light, weight, floor):
+    """PRF Eq. 17: ratio of two dot products, in float64."""
+    top = bottom = 0.0
+    for k in range(g.size):
+        if floor[k] == 0:
+            gw = float(g[k]) * weight[k]
+            top += gw * light[k]
+            bottom += gw * g[k]
+    return max(top / bottom, 0.0) if bottom > 0 else 0.0

@@ -1,0 +1,120 @@
+"""Every camera of a light stage: read a band, fit it while the next one is read, write it."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.cameras import Camera, camera_from_frame
+from pipeline.capture.model import LightTable
+from pipeline.errors import UserError
+from pipeline.images import read_mask
+from pipeline.lights.solid_angles import solid_angles
+from pipeline.stage import StageRun
+from stages.olat.fit import fit
+from stages.olat.frames import bands_of, is_half, read_bands
+from stages.olat.lobes import LOBES
+from stages.olat.maps_out import MapWriter
+from stages.olat.pixel import FLAG, Settings
+from stages.olat.preview import write_preview
+from stages.olat.stage import OlatParameters, every
+
+FLAGS = ("good", "too few lights", "saturated", "black", "no lobe", "bad samples")
+TOLERANCE = {"float32": 3e-6, "float64": 1e-12}
+
+
+@dataclass(frozen=True)
+class CameraJob:
+    """One camera's frames in the order of the lights, its pose and its mask."""
+
+    name: str
+    cross: list[Path]
+    parallel: list[Path]
+    camera: Camera
+    mask: NDArray[np.bool_]
+
+
+def run(stage: StageRun) -> None:
+    """Fit every camera. Raises UserError on frames that cannot be read."""
+    index = json.loads((stage.inputs["decode"] / "olat.json").read_text())
+    parameters: OlatParameters = stage.parameters
+    step = every(parameters.lights)
+    rig = light_rig(index, step)
+    level = index.get("saturation_level")
+    clipped = float(index.get("saturated_fraction") or 0.0) > 0 and level is not None
+    bound = clipped and parameters.overexposure != "off"
+    why = "samples are clipped" if clipped else "nothing is over the saturation level"
+    stage.note("overexposure", {"run": bound, "reason": why if parameters.overexposure != "off" else "overexposure=off"})
+    stage.note("lights", {"used": len(rig), "of": len(index["lights"]["directions"])})
+    settings = settings_of(parameters, stage.capture.config.olat, float(level) if bound else np.inf)
+    for name, entry in index["cameras"].items():
+        fit_camera(stage, camera_job(stage, name, entry, step), rig, settings)
+
+
+def light_rig(index: dict[str, Any], step: int = 1) -> LightTable:
+    """The lights of olat.json, each `step`-th, with solid angles (computed where the table has none)."""
+    table = index["lights"]
+    directions = np.array(table["directions"])[::step]
+    positions = np.array(table["positions"])[::step]
+    intensity = np.array(table["intensity"])[::step]
+    given = table.get("solid_angle")
+    area = np.array(given) if given is not None and step == 1 else solid_angles(directions)
+    return LightTable(directions, positions, intensity, area)
+
+
+def settings_of(parameters: OlatParameters, config: Any, saturation: float) -> Settings:
+    """Kernel settings from the stage's parameters and the capture's [olat] facts."""
+    lobe = LOBES["ward" if parameters.lobe == "auto" else parameters.lobe]
+    return Settings(lobe, 8, 3, 15, TOLERANCE[parameters.precision], saturation, config.specular_factor, config.irradiance)
+
+
+def camera_job(stage: StageRun, name: str, entry: dict[str, Any], step: int) -> CameraJob:
+    """One camera of olat.json with its mask (masks stage, else the capture's, else the whole frame). Raises UserError."""
+    root = stage.capture.root
+    camera = camera_from_frame({"file_path": name, **entry["camera"]}, {}, stage.inputs["decode"] / "olat.json")
+    made = stage.inputs["masks"] / f"{name}.png" if "masks" in stage.inputs else None
+    path = made if made is not None and made.is_file() else (root / entry["mask"] if entry.get("mask") else None)
+    shape = (int(entry["height"]), int(entry["width"]))
+    mask = read_mask(path) if path is not None else np.ones(shape, bool)
+    if mask.shape != shape:
+        raise UserError(
+            path or root, f"is {mask.shape[1]}x{mask.shape[0]}, the frames {shape[1]}x{shape[0]}", "make it their size"
+        )
+    if not mask.any():
+        raise UserError(path or root, "the mask is all black: no object in this view", "mend the mask")
+    cross, parallel = ([root / p for p in entry[key]][::step] for key in ("cross", "parallel"))
+    return CameraJob(name, cross, parallel, camera, mask)
+
+
+def fit_camera(stage: StageRun, job: CameraJob, rig: LightTable, settings: Settings) -> None:
+    """Read, fit and write one camera."""
+    parameters: OlatParameters = stage.parameters
+    half = all(is_half(path) for path in (job.cross[0], job.parallel[0]))
+    bands = bands_of(job.mask, len(rig), parameters.band_mb, 2 if half else 4)
+    view = -job.camera.rays().reshape(-1, 3)
+    counts = np.zeros(len(FLAGS), int)
+    with (
+        stage.progress.bar(f"fitting {job.name}", int(job.mask.sum()), "px") as bar,
+        MapWriter(stage.output / job.name, job.camera.width, job.camera.height) as writer,
+    ):
+        for samples in read_bands(job.cross, job.parallel, bands, half):
+            pixels = samples.band.pixels
+            near = stage.capture.config.olat.near_light
+            points = nearest_points(job.camera, view[pixels]) if near else None
+            rows, _ = fit(samples.cross, samples.parallel, view[pixels], rig, settings, parameters.precision, points)
+            counts += np.bincount(rows[:, FLAG].astype(int), minlength=len(FLAGS))
+            writer.write(samples.band, rows)
+            bar.advance(len(pixels))
+    write_preview(stage.output / job.name / "preview.png", writer.preview)
+    stage.note(f"{job.name}.flags", {name: int(n) for name, n in zip(FLAGS, counts) if n})
+
+
+def nearest_points(camera: Camera, view: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Where each ray passes the stage's centre [P, 3]: the surface's place, to within the object's size."""
+    along = view @ camera.centre
+    return camera.centre - view * along[:, None]

@@ -1,0 +1,213 @@
+"""Specular lobe of one pixel: start from half vectors and their second moments, then a joint robust fit.
+
+The fit is Levenberg-Marquardt over the normal (2), the widths and tangent (3) and the albedo at once: PRF Eqs. 13, 14
+and 17 in one objective, with the paper's fixed tangent set free.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from stages.olat.lobes import evaluate, normal_equations
+from stages.olat.numerics import FAST, ONE, ZERO, cholesky_solve
+
+LOBE_FRACTION = 0.05  # of the brightest sample: below it noise, not the lobe, would weigh the half vectors
+SIGMA_MIN, SIGMA_MAX = 1e-3, 10.0
+SHAPE_MAX, SHAPE_MIN = -math.log(SIGMA_MIN), -math.log(SIGMA_MAX)
+
+
+@njit(cache=True)
+def frame_about(nx, ny, nz, frame):
+    """Rows t, b, n of an orthonormal frame about a unit normal (Duff et al. 2017: no singular direction)."""
+    sign = math.copysign(1.0, nz)
+    a = -1.0 / (sign + nz)
+    b = nx * ny * a
+    frame[0, 0], frame[0, 1], frame[0, 2] = 1.0 + sign * nx * nx * a, sign * b, -sign * nx
+    frame[1, 0], frame[1, 1], frame[1, 2] = b, sign + ny * ny * a, -ny
+    frame[2, 0], frame[2, 1], frame[2, 2] = nx, ny, nz
+
+
+@njit(cache=True)
+def tilt(frame, d1, d2, out):
+    """The frame whose normal is `n + d1 t + d2 b`, t kept as near as it can be."""
+    for i in range(3):
+        out[2, i] = frame[2, i] + d1 * frame[0, i] + d2 * frame[1, i]
+    size = math.sqrt(out[2, 0] ** 2 + out[2, 1] ** 2 + out[2, 2] ** 2)
+    dot = 0.0
+    for i in range(3):
+        out[2, i] /= size
+        dot += out[2, i] * frame[0, i]
+    for i in range(3):
+        out[0, i] = frame[0, i] - dot * out[2, i]
+    size = math.sqrt(out[0, 0] ** 2 + out[0, 1] ** 2 + out[0, 2] ** 2)
+    for i in range(3):
+        out[0, i] /= size
+    out[1, 0] = out[2, 1] * out[0, 2] - out[2, 2] * out[0, 1]
+    out[1, 1] = out[2, 2] * out[0, 0] - out[2, 0] * out[0, 2]
+    out[1, 2] = out[2, 0] * out[0, 1] - out[2, 1] * out[0, 0]
+
+
+@njit(cache=True, fastmath=FAST)
+def half_vectors(ix, iy, iz, ox, oy, oz, hx, hy, hz, cosine):
+    """Half vectors of the lights and `o`, and their cosine h·o (0 where the light is exactly opposite)."""
+    for k in range(ix.size):
+        x, y, z = ix[k] + ox, iy[k] + oy, iz[k] + oz
+        s = x * x + y * y + z * z
+        r = ONE / math.sqrt(s) if s > ZERO else ZERO
+        hx[k], hy[k], hz[k] = x * r, y * r, z * r
+        cosine[k] = (x * ox + y * oy + z * oz) * r
+
+
+@njit(cache=True)
+def start_normal(light, weight, level, area, h, cosine):
+    """Weighted half vector `Σ I ΔΩ h / (h·o)` over samples above `level`. Returns its direction and the samples' number."""
+    x = y = z = 0.0
+    count = 0
+    for k in range(light.size):
+        if light[k] > level and weight[k] > 0 and cosine[k] > 0.05:
+            w = light[k] * area[k] / cosine[k]
+            x += w * h[0, k]
+            y += w * h[1, k]
+            z += w * h[2, k]
+            count += 1
+    size = math.sqrt(x * x + y * y + z * z)
+    return (x / size, y / size, z / size, count) if size > 0 else (0.0, 0.0, 0.0, 0)
+
+
+@njit(cache=True)
+def start_shape(light, weight, level, area, h, cosine, frame, shape):
+    """A, B, C from the second moments of the projected half vectors (variance = sigma² / 2 in each direction)."""
+    xx = xy = yy = total = 0.0
+    for k in range(light.size):
+        if light[k] > level and weight[k] > 0 and cosine[k] > 0.05:
+            w = light[k] * area[k] / cosine[k]
+            x = h[0, k] * frame[0, 0] + h[1, k] * frame[0, 1] + h[2, k] * frame[0, 2]
+            y = h[0, k] * frame[1, 0] + h[1, k] * frame[1, 1] + h[2, k] * frame[1, 2]
+            xx += w * x * x
+            xy += w * x * y
+            yy += w * y * y
+            total += w
+    xx, xy, yy = 2 * xx / total + 1e-4, 2 * xy / total, 2 * yy / total + 1e-4  # 1e-4: sigma no narrower than 0.01 to start
+    set_shape(xx, xy, yy, shape)
+
+
+@njit(cache=True)
+def set_shape(xx, xy, yy, shape):
+    """Log-Cholesky of the inverse of the width matrix [[xx xy] [xy yy]] (sigma squared)."""
+    det = xx * yy - xy * xy
+    a2 = yy / det  # entry (0, 0) of the inverse
+    a = math.sqrt(a2)
+    c = -xy / det / a  # L = [[a, 0], [c, b]] in q = (a x + c y)² + (b y)²
+    b2 = xx / det - c * c
+    shape[0], shape[1], shape[2] = math.log(a), 0.5 * math.log(b2), c
+
+
+@njit(cache=True)
+def widths(shape):
+    """(sigma of the larger axis, of the smaller, angle of the larger axis from t) of A, B, C."""
+    a, b, c = math.exp(shape[0]), math.exp(shape[1]), shape[2]
+    xx, xy, yy = a * a, a * c, c * c + b * b  # inverse of the width matrix
+    mean, half = 0.5 * (xx + yy), 0.5 * (xx - yy)
+    root = math.sqrt(half * half + xy * xy)
+    large = mean + root
+    small = (a * b) ** 2 / large  # not mean - root, which cancels
+    angle = 0.5 * math.atan2(2 * xy, xx - yy) + 0.5 * math.pi  # the narrow axis has the large eigenvalue
+    return 1.0 / math.sqrt(small), 1.0 / math.sqrt(large), angle
+
+
+@njit(cache=True)
+def optimise(lobe, frame, shape, rho, o, h, i, light, floor, weight, isotropic, steps, tolerance, local, jacobian, trial,
+             residual):  # fmt: skip
+    """Levenberg-Marquardt in place on (frame, shape, rho[0]) until the gradient, in units of the data, is under `tolerance`.
+
+    isotropic: A = B and C = 0. Returns (cost, gradient norm, passes). jacobian, trial [6, n], local [6, n], residual [n]: workspace.
+    """
+    matrix, gradient = np.empty((6, 6)), np.empty(6)
+    matrix2, gradient2 = np.empty((6, 6)), np.empty(6)
+    system, step = np.empty((6, 6)), np.empty(6)
+    frame2, shape2 = np.empty((3, 3)), np.empty(3)
+    size = 0.0
+    for k in range(light.size):
+        size += weight[k] * light[k] * light[k]
+    if not size > 0:
+        return 0.0, 0.0, 0
+    evaluate(lobe, frame, shape, rho[0], o, h, i, local, jacobian)
+    cost = normal_equations(jacobian, rho[0], light, floor, weight, residual, matrix, gradient)
+    damping, norm, passes = 1e-3, 0.0, 1
+    for _ in range(steps):
+        n = _reduce(matrix, gradient, isotropic)
+        norm = _norm(gradient, n, rho[0], size)
+        if norm < tolerance:
+            break
+        for j in range(n):
+            for k in range(n):
+                system[j, k] = matrix[j, k]
+            system[j, j] += damping * matrix[j, j] + 1e-12 * size  # an unseen direction stays put
+        if not cholesky_solve(system, gradient, n, step):
+            damping = max(10 * damping, 1e-3)
+            continue
+        limit = max(abs(step[0]), abs(step[1]), 0.4 * abs(step[2]), 0.4 * abs(step[3]) if not isotropic else 0.0)
+        scale = min(1.0, 0.3 / limit) if limit > 0 else 1.0  # at most 17 degrees or a factor of two in width a step
+        tilt(frame, -scale * step[0], -scale * step[1], frame2)
+        if isotropic:
+            shape2[0] = shape2[1] = min(max(shape[0] - scale * step[2], SHAPE_MIN), SHAPE_MAX)
+            shape2[2] = 0.0
+            rho2 = max(rho[0] - scale * step[3], 0.0)
+        else:
+            shape2[0] = min(max(shape[0] - scale * step[2], SHAPE_MIN), SHAPE_MAX)
+            shape2[1] = min(max(shape[1] - scale * step[3], SHAPE_MIN), SHAPE_MAX)
+            shape2[2] = shape[2] - scale * step[4]
+            rho2 = max(rho[0] - scale * step[5], 0.0)
+        evaluate(lobe, frame2, shape2, rho2, o, h, i, local, trial)
+        cost2 = normal_equations(trial, rho2, light, floor, weight, residual, matrix2, gradient2)
+        passes += 1
+        if cost2 < cost * (1 + 1e-6):  # equal within rounding counts: the gradient decides when to stop
+            frame[:], shape[:], rho[0], cost = frame2, shape2, rho2, cost2
+            matrix[:], gradient[:] = matrix2, gradient2
+            damping = damping * 0.1 if damping > 1e-9 else 0.0
+        else:
+            damping = max(8 * damping, 1e-4)
+            if damping > 1e6:
+                break
+    return cost / size, norm, passes
+
+
+@njit(cache=True)
+def _reduce(matrix, gradient, isotropic):
+    """Merge A and B, drop C where the lobe is to be round; returns the number of parameters."""
+    if not isotropic:
+        return 6
+    m = matrix
+    for k in range(6):
+        m[2, k] += m[3, k]
+    for k in range(6):
+        m[k, 2] += m[k, 3]
+    gradient[2] += gradient[3]
+    gradient[3] = gradient[5]
+    for k in range(3):
+        m[k, 3] = m[k, 5]
+        m[3, k] = m[k, 5]
+    m[3, 3] = m[5, 5]
+    return 4
+
+
+@njit(cache=True)
+def _norm(gradient, n, rho, size):
+    s = 0.0
+    for k in range(n):
+        g = gradient[k] * (rho if k == n - 1 else 1.0)
+        s += g * g
+    return math.sqrt(s) / size
+
+
+@njit(cache=True, fastmath=FAST)
+def reweight(g, rho, light, use, absolute, relative, weight):
+    """Geman-McClure weights of the residual in units of `absolute + relative x max(model, sample)`."""
+    for k in range(g.size):
+        p = rho * g[k]
+        t = (p - light[k]) / (absolute + relative * max(p, light[k]))
+        u = ONE / (ONE + t * t)
+        weight[k] = use[k] * u * u
