@@ -1,0 +1,232 @@
+"""Training data: the decoded views with their cameras and masks, in the training frame, at full or reduced size."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import torch
+from scipy import ndimage
+
+from pipeline.cameras import Camera, load_cameras
+from pipeline.errors import UserError
+from pipeline.images import read_exr, read_image
+
+from .frame import SceneFrame
+
+Mode = Literal["stokes", "polarisers", "none"]
+Split = Literal["train", "validation", "test"]
+TEST_EVERY = 8  # the contract: every 8th of the sorted views, from the first
+BLACK_BACKGROUND = 0.01  # background radiance over foreground radiance below which the edge pixels are premultiplied
+FEWEST_VIEWS = 4  # below this neither a hull nor an environment is determined at all
+
+
+@dataclass(frozen=True)
+class SourceView:
+    """One decoded view as stored: image [H, W, S, 3] (S = 3 Stokes components or 1), mask and validity [H, W]."""
+
+    name: str
+    split: Split
+    camera: Camera
+    image: np.ndarray
+    mask: np.ndarray  # coverage 0..1
+    valid: np.ndarray  # bool: neither saturated nor non-finite
+
+
+@dataclass(frozen=True)
+class View:
+    """One view ready for training, all in the training frame. P = pixels whose colour counts.
+
+    target [P, S, 3]; colour_weight [P]; pixels [P] flat indices; view_direction, frame_x, frame_y [P, 3] (unit; the
+    view direction points at the camera); alpha_target, alpha_weight [H, W]; world_to_camera [4, 4]; intrinsics [3, 3].
+    """
+
+    name: str
+    split: Split
+    camera: Camera
+    world_to_camera: torch.Tensor
+    intrinsics: torch.Tensor
+    pixels: torch.Tensor
+    target: torch.Tensor
+    colour_weight: torch.Tensor
+    inside: torch.Tensor  # [P] bool: fully covered by the object
+    view_direction: torch.Tensor
+    frame_x: torch.Tensor
+    frame_y: torch.Tensor
+    alpha_target: torch.Tensor
+    alpha_weight: torch.Tensor
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(height, width)."""
+        return self.camera.height, self.camera.width
+
+
+def load_sources(decode: Path, poses: Path, masks: Path | None, polarisation: str) -> tuple[list[SourceView], Mode]:
+    """Every decoded view that has a camera, sorted by name. Raises UserError on what cannot be trained."""
+    index_path = decode / "frames.json"
+    index = json.loads(index_path.read_text())
+    cameras = load_cameras(poses / "cameras.json")
+    mode: Mode = index["polarisation"]
+    if polarisation != "auto" and polarisation != mode:
+        mode = _reduced_mode(mode, polarisation, index_path)
+    names = sorted(index["views"])
+    test = set(names[::TEST_EVERY])
+    sources = []
+    for name in names:
+        if name not in cameras:
+            continue
+        split: Split = "test" if name in test else "train"
+        sources.append(_load(name, index["views"][name], cameras[name], decode, masks, split, mode))
+    usable = [s for s in sources if s.split == "train" and (s.mask > 0.5).sum() > 20]
+    if len(usable) < FEWEST_VIEWS:
+        raise UserError(
+            index_path,
+            f"only {len(usable)} training views show the object",
+            f"training needs at least {FEWEST_VIEWS}, better 20 around the object; check the masks",
+        )
+    return sources, mode
+
+
+def _reduced_mode(stored: str, wanted: str, path: Path) -> Mode:
+    if stored == "stokes" and wanted == "none":
+        return "none"
+    raise UserError(path, f"the frames hold '{stored}', not '{wanted}'", "set train.polarisation to auto or none")
+
+
+def _load(
+    name: str, entry: dict, camera: Camera, decode: Path, masks: Path | None, split: Split, mode: Mode
+) -> SourceView:
+    channels = read_exr(decode / entry["file"])
+    height, width = next(iter(channels.values())).shape
+    camera = camera if (camera.width, camera.height) == (width, height) else camera.resized(width, height)
+    camera = replace(camera, name=entry.get("camera") or camera.name)
+    if "S0.R" in channels:
+        parts = 3 if mode == "stokes" else 1
+        image = np.stack([np.stack([channels[f"S{k}.{c}"] for c in "RGB"], -1) for k in range(parts)], -2)
+    else:
+        image = np.stack([channels[c] for c in "RGB"], -1)[:, :, None]
+    valid = np.isfinite(image).all((-1, -2))
+    if entry.get("saturated"):
+        valid &= read_image(decode / entry["saturated"])[..., 0] < 0.5
+    mask = np.ones((height, width), np.float32)
+    if masks is not None:
+        mask = read_image(masks / f"{name}.png")[..., 0]
+        if mask.shape != (height, width):
+            raise UserError(masks / f"{name}.png", f"is {mask.shape[::-1]}, its image {width}x{height}", "redo the masks")
+    return SourceView(name, split, camera, np.nan_to_num(image), mask, valid)
+
+
+def background_is_black(sources: list[SourceView]) -> bool:
+    """Whether the images are black away from the object, so that edge pixels hold radiance times coverage."""
+    ratios = []
+    for s in sources:
+        far = ~ndimage.binary_dilation(s.mask > 0.02, iterations=3)
+        if far.sum() > 10 and (s.mask > 0.5).any():
+            inside = np.abs(s.image[s.mask > 0.5]).mean()
+            ratios.append(np.abs(s.image[far]).mean() / max(float(inside), 1e-30))  # a wholly black object counts as none
+    return bool(ratios) and float(np.median(ratios)) < BLACK_BACKGROUND
+
+
+def edge_offset(sources: list[SourceView]) -> float:
+    """How far (pixels) the object reaches beyond the masks: 0.5 where masks hold only fully covered pixels, 0 at best.
+
+    From black-background images: mean radiance of the ring just outside over that just inside.
+    """
+    outside, inside = [], []
+    for s in sources:
+        mask = s.mask > 0.5
+        lum = s.image[:, :, 0].mean(-1)
+        ring = ndimage.binary_dilation(mask) & ~mask
+        edge = mask & ~ndimage.binary_erosion(mask, border_value=1)
+        if ring.any() and edge.any():
+            # 2x2 box against the sharp highlights of single edge pixels
+            outside.append(np.minimum(lum[ring], np.percentile(lum[edge], 90)).mean())
+            inside.append(np.minimum(lum[edge], np.percentile(lum[edge], 90)).mean())
+    if not inside or sum(inside) <= 0:
+        return 0.0
+    return float(np.clip(sum(outside) / sum(inside), 0.0, 1.0))
+
+
+def exposure_of(sources: list[SourceView]) -> float:
+    """Factor that brings the mean foreground radiance of the training views to 0.25, bright outliers left out."""
+    values = [s.image[:, :, 0].mean(-1)[(s.mask > 0.5) & s.valid] for s in sources if s.split != "test"]
+    lum = np.concatenate(values)
+    lum = lum[lum <= np.percentile(lum, 99)] if len(lum) else lum
+    mean = float(lum.mean()) if len(lum) else 0.0
+    return 0.25 / mean if mean > 0 else 1.0
+
+
+def halved(source: SourceView) -> SourceView:
+    """The view at half size: 2x2 averages (odd edges are padded by repetition and keep their geometry)."""
+    height, width = source.mask.shape
+    pad = (height % 2, width % 2)
+
+    def half(a: np.ndarray) -> np.ndarray:
+        a = np.pad(a, [(0, pad[0]), (0, pad[1])] + [(0, 0)] * (a.ndim - 2), mode="edge")
+        return a.reshape(a.shape[0] // 2, 2, a.shape[1] // 2, 2, *a.shape[2:]).mean((1, 3))
+
+    camera = source.camera
+    camera = replace(
+        camera,
+        width=(width + 1) // 2,
+        height=(height + 1) // 2,
+        fx=camera.fx / 2,
+        fy=camera.fy / 2,
+        cx=camera.cx / 2,
+        cy=camera.cy / 2,
+    )
+    valid = half(source.valid.astype(np.float32)) > 0.99
+    return replace(source, camera=camera, image=half(source.image), mask=half(source.mask), valid=valid)
+
+
+def prepare(source: SourceView, frame: SceneFrame, black: bool, device: str = "cpu") -> View:
+    """A view in the training frame, its counting pixels listed.
+
+    On a black background the ring about the mask counts too (its coverage is left to the model); otherwise the mask's
+    own edge pixels, mixed with the background, count for nothing.
+    """
+    camera = frame.camera(source.camera)
+    full = source.mask > 0.99
+    any_ = source.mask > 0.01
+    grown = ndimage.binary_dilation(any_, structure=np.ones((3, 3), bool))
+    core = full & ndimage.binary_erosion(full, border_value=1)
+    counted = (grown if black else core) & source.valid
+    alpha_weight = np.where(core | ~grown, 1.0, 0.0) if black else np.where(core | ~any_, 1.0, 0.25)
+    index = np.flatnonzero(counted)
+    rays = camera.rays().reshape(-1, 3)[index]
+    frame_x, frame_y = (a.reshape(-1, 3)[index] for a in camera.stokes_frame())
+    image = source.image * frame.exposure
+    image = image.reshape(-1, *image.shape[2:])[index]
+
+    def tensor(a: np.ndarray) -> torch.Tensor:
+        return torch.as_tensor(np.ascontiguousarray(a, np.float32), device=device)
+
+    return View(
+        name=source.name,
+        split=source.split,
+        camera=camera,
+        world_to_camera=tensor(camera.world_to_camera),
+        intrinsics=tensor(camera.intrinsics),
+        pixels=torch.as_tensor(index, device=device),
+        target=tensor(image),
+        colour_weight=torch.ones(len(index), device=device),
+        inside=torch.as_tensor(full.reshape(-1)[index], device=device),
+        view_direction=tensor(-rays),
+        frame_x=tensor(frame_x),
+        frame_y=tensor(frame_y),
+        alpha_target=tensor(source.mask),
+        alpha_weight=tensor(alpha_weight),
+    )
+
+
+def with_validation(sources: list[SourceView], every: int) -> list[SourceView]:
+    """The sources with some training views marked as validation; `every` 0 chooses about one in 14, at least one of 12."""
+    training = [s.name for s in sources if s.split == "train"]
+    if every == 0:
+        every = 14 if len(training) >= 12 else 0
+    held = set(training[every // 2 :: every]) if every else set()
+    return [replace(s, split="validation") if s.name in held else s for s in sources]

@@ -1,0 +1,19 @@
+"""Figures of merit while training: PSNR of display-encoded radiance, as the report will judge it."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+
+
+def srgb(linear: torch.Tensor) -> torch.Tensor:
+    """Linear to sRGB, clipped to [0, 1] (IEC 61966-2-1)."""
+    x = linear.clamp(0, 1)
+    return torch.where(x <= 0.0031308, 12.92 * x, 1.055 * x.clamp_min(0.0031308) ** (1 / 2.4) - 0.055)
+
+
+def psnr(predicted: torch.Tensor, target: torch.Tensor, exposure: float) -> float:
+    """sRGB PSNR (dB) of radiances in the training exposure; capped at 120 (equal images)."""
+    difference = srgb(predicted / exposure) - srgb(target / exposure)
+    return -10 * math.log10(max(float((difference**2).mean()), 1e-12))

@@ -1,0 +1,1 @@
+"""Where the model starts: the masks' visual hull, sampled with Gaussians."""

@@ -1,0 +1,180 @@
+"""Visual hull of the masks as a signed-distance grid and a smooth triangle mesh."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage, sparse
+
+from pipeline.cameras import Camera
+from pipeline.errors import UserError
+
+JUDGES = 0.5  # share of the views that must have a point in frame: a hull seen by less is the views' blind spot
+SMALLEST_PART = 0.02  # parts with less than this share of the largest part's volume are carving debris
+
+
+@dataclass(frozen=True)
+class Silhouette:
+    """One view's mask (coverage 0..1, [H, W]) with its camera."""
+
+    camera: Camera
+    mask: np.ndarray
+
+
+@dataclass(frozen=True)
+class HullMesh:
+    """Vertices [V, 3], triangles [T, 3], unit outward vertex normals [V, 3], in the silhouettes' world."""
+
+    vertices: np.ndarray
+    triangles: np.ndarray
+    normals: np.ndarray
+
+
+def signed_distance(mask: np.ndarray, offset: float = 0.0) -> np.ndarray:
+    """Signed distance in pixels to the mask's contour, positive inside, float32 [H, W]; `offset` grows the mask."""
+    inside = mask > 0.5
+    if not inside.any() or inside.all():
+        return np.full(mask.shape, 1e3 if inside.all() else -1e3, np.float32)
+    far = ndimage.distance_transform_edt(inside) - 0.5
+    near = ndimage.distance_transform_edt(~inside) - 0.5
+    distance = np.where(inside, far, -near)
+    soft = (mask > 0.02) & (mask < 0.98)
+    distance = np.where(soft, mask - 0.5, distance)
+    return (ndimage.gaussian_filter(distance, 0.7) + offset).astype(np.float32)
+
+
+def bounds(silhouettes: Sequence[Silhouette]) -> tuple[np.ndarray, float]:
+    """Centre [3] and half-size of a cube that holds the object: where the rays through the mask centroids meet best."""
+    centres, directions, spreads = [], [], []
+    for s in silhouettes:
+        ys, xs = np.nonzero(s.mask > 0.5)
+        if not len(xs):
+            continue
+        pixel = np.array([xs.mean() + 0.5, ys.mean() + 0.5])
+        c = s.camera
+        local = np.array([(pixel[0] - c.cx) / c.fx, (pixel[1] - c.cy) / c.fy, 1.0])
+        direction = c.world_to_camera[:3, :3].T @ local
+        centres.append(c.centre)
+        directions.append(direction / np.linalg.norm(direction))
+        spreads.append(np.hypot(np.abs(xs + 0.5 - pixel[0]).max() / c.fx, np.abs(ys + 0.5 - pixel[1]).max() / c.fy))
+    o, d = np.array(centres), np.array(directions)
+    across = np.eye(3)[None] - d[:, :, None] * d[:, None, :]
+    normal = across.sum(0)
+    if np.linalg.cond(normal) > 1e6:
+        raise UserError("cameras", "every view looks along the same line", "photograph the object from around it")
+    centre = np.linalg.solve(normal, (across @ o[:, :, None]).sum(0)[:, 0])
+    depths = np.einsum("vk,vk->v", centre - o, d)
+    if np.median(depths) <= 0:
+        raise UserError("cameras", "the views look away from each other's object", "check the camera convention")
+    return centre, float(np.median(np.array(spreads) * depths))
+
+
+def occupancy(
+    silhouettes: Sequence[Silhouette], distances: Sequence[np.ndarray], points: np.ndarray, outvoted: int = 0
+) -> np.ndarray:
+    """Signed distance to the hull (world units, positive inside) at points [M, 3].
+
+    A point outside a picture is not judged by it; one that fewer than half of the pictures judge is outside. With
+    `outvoted` = k the k most negative views are overruled, which forgives that many bad masks.
+    """
+    worst = np.full((outvoted + 1, len(points)), np.inf, np.float32)
+    judges = np.zeros(len(points), np.int32)
+    for s, distance in zip(silhouettes, distances):
+        pixels, z = s.camera.project(points)
+        height, width = distance.shape
+        with np.errstate(invalid="ignore"):
+            seen = (z > 0) & (pixels >= 0).all(-1) & (pixels[:, 0] <= width) & (pixels[:, 1] <= height)
+        at = pixels[seen]
+        value = ndimage.map_coordinates(distance, [at[:, 1] - 0.5, at[:, 0] - 0.5], order=1, mode="nearest")
+        length = np.full(len(points), np.inf, np.float32)
+        judges += seen
+        length[seen] = value * (z[seen] / (0.5 * (s.camera.fx + s.camera.fy))).astype(np.float32)
+        worst = np.sort(np.concatenate([worst, length[None]]), 0)[: outvoted + 1] if outvoted else np.minimum(worst, length)
+    far = max(float(np.abs(worst[np.isfinite(worst)]).max()) if np.isfinite(worst).any() else 1.0, 1e-30)
+    judged = judges >= max(2, JUDGES * len(silhouettes))
+    return np.where(judged & np.isfinite(worst[-1]), worst[-1], -far).astype(np.float32)
+
+
+def _grid(low: np.ndarray, high: np.ndarray, spacing: float) -> tuple[np.ndarray, tuple[int, ...]]:
+    axes = [np.arange(a, b + spacing, spacing) for a, b in zip(low, high)]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3), tuple(map(len, axes))
+
+
+def visual_hull(
+    silhouettes: Sequence[Silhouette], resolution: int, offset: float = 0.0, outvoted: int = 0
+) -> tuple[HullMesh, np.ndarray, float]:
+    """The hull's mesh and its bounding box's centre [3] and half-diagonal-free half-size (largest half extent).
+
+    `resolution`: voxels along the longest side. `offset`: pixels by which the object exceeds its masks.
+    Raises UserError where the masks have no common object.
+    """
+    from skimage.measure import marching_cubes
+
+    distances = [signed_distance(s.mask, offset) for s in silhouettes]
+    centre, half = bounds(silhouettes)
+    half *= 1.3
+    coarse, shape = _grid(centre - half, centre + half, 2 * half / 40)
+    field = occupancy(silhouettes, distances, coarse, outvoted)
+    kept = coarse[without_debris(_block(coarse, field)).ravel() > -2 * half / 40]
+    if len(kept) < 2 or (field > 0).sum() < 2:
+        raise UserError("masks", "they have no object in common", "check the masks, the cameras and their pairing")
+    margin = 2 * half / 40
+    low, high = kept.min(0) - margin, kept.max(0) + margin
+    spacing = float((high - low).max()) / resolution
+    points, shape = _grid(low, high, spacing)
+    near = _block(coarse, field)  # the coarse field tells what is far from the surface
+    lookup = ndimage.map_coordinates(near, ((points - (centre - half)) / (2 * half / 40)).T, order=1, mode="nearest")
+    band = np.abs(lookup) < 4 * half / 40
+    values = lookup.astype(np.float32)
+    values[band] = occupancy(silhouettes, distances, points[band], outvoted)
+    volume = ndimage.gaussian_filter(values.reshape(shape), 0.8)
+    volume = without_debris(np.pad(volume, 1, constant_values=-spacing))
+    if not (volume > 0).any():
+        raise UserError("masks", "the common object is too thin to see", "check the masks and the cameras")
+    vertices, triangles, *_ = marching_cubes(volume, 0.0, spacing=(spacing,) * 3)
+    vertices = vertices + low - spacing
+    mesh = smoothed(vertices, triangles[:, ::-1].astype(np.int64), rounds=6)
+    extent = mesh.vertices.max(0) - mesh.vertices.min(0)
+    return mesh, 0.5 * (mesh.vertices.max(0) + mesh.vertices.min(0)), float(0.5 * extent.max())
+
+
+def _block(points: np.ndarray, field: np.ndarray) -> np.ndarray:
+    count = round(len(points) ** (1 / 3))
+    return field.reshape(count, count, count)
+
+
+def without_debris(volume: np.ndarray) -> np.ndarray:
+    """The signed-distance volume with small positive islands turned negative."""
+    parts, count = ndimage.label(volume > 0)
+    if count <= 1:
+        return volume
+    sizes = ndimage.sum_labels(volume > 0, parts, np.arange(1, count + 1))
+    small = np.isin(parts, 1 + np.flatnonzero(sizes < SMALLEST_PART * sizes.max()))
+    return np.where(small, -np.abs(volume), volume)
+
+
+def smoothed(vertices: np.ndarray, triangles: np.ndarray, rounds: int) -> HullMesh:
+    """Taubin smoothing (0.5, -0.53), which takes the stair steps away without shrinking, and vertex normals."""
+    edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
+    count = len(vertices)
+    ones = np.ones(len(edges))
+    links = sparse.coo_matrix((ones, (edges[:, 0], edges[:, 1])), (count, count))
+    links = ((links + links.T) > 0).astype(np.float64)
+    average = sparse.diags(1.0 / np.maximum(np.asarray(links.sum(1)).ravel(), 1)) @ links
+    v = vertices.astype(np.float64)
+    for _ in range(rounds):
+        for step in (0.5, -0.53):
+            v = v + step * (average @ v - v)
+    return HullMesh(v, triangles, vertex_normals(v, triangles))
+
+
+def vertex_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Unit area-weighted vertex normals [V, 3]."""
+    a, b, c = (vertices[triangles[:, k]] for k in range(3))
+    face = np.cross(b - a, c - a)
+    out = np.zeros_like(vertices)
+    for k in range(3):
+        np.add.at(out, triangles[:, k], face)
+    return out / np.maximum(np.linalg.norm(out, axis=-1, keepdims=True), 1e-30)  # an unused vertex keeps a zero normal

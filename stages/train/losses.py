@@ -1,0 +1,74 @@
+"""The five losses of PhyGaP Eq. 10, as unreduced maps or means, in forms that suit short float32 optimisation.
+
+Radiance is compared after a display-like encoding, so that a highlight a hundred times brighter than the rest does not
+own the fit; the Stokes parts are weighted by the slope of that same encoding, i.e. as contrast.
+"""
+
+from __future__ import annotations
+
+import torch
+
+from .graph import SurfaceGraph, edge_difference, slope_residual
+
+GAMMA = 1 / 2.4  # sRGB's exponent
+TOE = 0.005  # keeps the encoding's slope finite at black: 9 there, sRGB's is 12.9 (unit: mean foreground = 0.25)
+CHARBONNIER = 0.01  # encoded residual below which the loss is quadratic: about one 8-bit step and a half
+
+
+def encode(x: torch.Tensor) -> torch.Tensor:
+    """Display-like encoding of radiance: (x + toe)^(1/2.4) - toe^(1/2.4), continued linearly below 0."""
+    up = x.clamp_min(0)
+    slope = GAMMA * TOE ** (GAMMA - 1)
+    return (up + TOE) ** GAMMA - TOE**GAMMA + slope * (x - up)
+
+
+def encode_slope(x: torch.Tensor) -> torch.Tensor:
+    """Derivative of `encode` at x >= 0 (at 0 below)."""
+    return GAMMA * (x.clamp_min(0) + TOE) ** (GAMMA - 1)
+
+
+def robust(residual: torch.Tensor, width: float = CHARBONNIER) -> torch.Tensor:
+    """Charbonnier penalty: quadratic below `width`, then linear with slope 1."""
+    return torch.sqrt(residual * residual + width * width) - width
+
+
+def radiance_loss(predicted: torch.Tensor, target: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:
+    """L_rgb: weighted mean of the robust encoded difference; predicted, target [P, 3], weight [P]."""
+    return weighted_mean(robust(encode(predicted) - encode(target)).mean(-1), weight)
+
+
+def stokes_loss(predicted: torch.Tensor, target: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:
+    """L_pol for full Stokes data [P, 3, 3]: s1 and s2 in units of encoded radiance."""
+    slope = encode_slope(target[:, :1])
+    return weighted_mean(robust(slope * (predicted[:, 1:] - target[:, 1:])).mean((-1, -2)), weight)
+
+
+def weighted_mean(values: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:
+    """Sum of weight * value over the sum of weights; 0 for no weight."""
+    return (values * weight).sum() / weight.sum().clamp_min(1e-12)
+
+
+def mask_loss(alpha: torch.Tensor, target: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:
+    """L_mask: mean absolute difference, relative to the object's area so that empty margins do not dilute it."""
+    return ((alpha - target).abs() * weight).sum() / target.sum().clamp_min(1.0)
+
+
+def depth_normal_loss(graph: SurfaceGraph, positions: torch.Tensor, normals: torch.Tensor) -> torch.Tensor:
+    """L_depth-normal on the surface itself: mean robust disagreement (radians) of chords with their normals."""
+    return robust(slope_residual(graph, positions, normals), 0.05).mean()
+
+
+def normal_smoothness(graph: SurfaceGraph, normals: torch.Tensor) -> torch.Tensor:
+    """Part of L_smooth: mean robust turn (radians) between neighbours; linear past 0.1 rad, so that creases may stay."""
+    difference = edge_difference(graph, normals)
+    return (torch.sqrt((difference * difference).sum(-1) + 0.1**2) - 0.1).mean()
+
+
+def albedo_smoothness(graph: SurfaceGraph, albedo: torch.Tensor) -> torch.Tensor:
+    """Part of L_smooth: total variation of the albedo over neighbours (piecewise constant textures cost their outlines)."""
+    return robust(edge_difference(graph, albedo), 0.02).mean()
+
+
+def material_smoothness(graph: SurfaceGraph, offsets: torch.Tensor) -> torch.Tensor:
+    """Part of L_smooth: squared differences and squared size of the roughness and IoR offsets [N, 2] (raw units)."""
+    return (edge_difference(graph, offsets) ** 2).mean() + 0.1 * (offsets**2).mean()

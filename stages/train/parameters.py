@@ -1,0 +1,53 @@
+"""Parameters of the train stage: one frozen dataclass, a help string and a unit for each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+
+def _p(default: Any, text: str) -> Any:
+    return field(default=default, metadata={"help": text})
+
+
+@dataclass(frozen=True)
+class TrainParameters:
+    """How the model is trained. Lengths are relative to the object's size: the scene is normalised first."""
+
+    iterations: int = _p(2400, "optimisation steps, one training view each (count)")
+    max_minutes: float = _p(0.0, "stop refining after this much training time; 0 = no limit (minutes)")
+    seed: int = _p(0, "seed of every random choice")
+    max_splats: int = _p(14000, "upper bound of the number of Gaussians (count)")
+    splat_pixels: float = _p(1.15, "wanted distance between neighbouring Gaussians (pixels of the training images)")
+    hull_resolution: int = _p(112, "voxels along the longest side of the visual hull (count)")
+    coarse_fraction: float = _p(0.35, "share of the steps that see images of half the size (fraction)")
+    consolidate_fraction: float = _p(0.15, "share of the steps at the end that see every training view (fraction)")
+    validation_every: int = _p(0, "hold back every n-th training view for early stopping; 0 = automatic (views)")
+    validate_steps: int = _p(200, "steps between validations (steps)")
+    patience: int = _p(4, "validations without a gain before the run goes to consolidation (count)")
+    patience_db: float = _p(0.02, "smallest validation gain that counts (dB)")
+    checkpoint_s: float = _p(20.0, "time between checkpoints (s)")
+
+    polarisation: Literal["auto", "stokes", "polarisers", "none"] = _p("auto", "which polarisation data to use")
+    fresnel: Literal["exact", "schlick"] = _p("exact", "Fresnel model of the radiance")
+    lobe: Literal["ggx", "beckmann"] = _p("ggx", "microfacet distribution of the specular lobe")
+    environment_resolution: int = _p(32, "texels along a side of the environment cube's faces (texels)")
+    occlusion: bool = _p(True, "trace self-shadowing and one bounce where the object occludes itself")
+
+    weight_rgb: float = _p(1.0, "weight of the radiance loss L_rgb (Eq. 10)")
+    weight_polarisation: float = _p(1.0, "weight of the Stokes loss relative to the radiance loss (lambda 1)")
+    weight_mask: float = _p(0.4, "weight of the mask loss (lambda 2)")
+    weight_depth_normal: float = _p(0.2, "weight of the agreement of normals with positions (lambda 3)")
+    weight_smooth: float = _p(0.1, "weight of the smoothness of normals, albedo and material (lambda 4)")
+    weight_dssim: float = _p(0.0, "share of DSSIM in the radiance loss (0..1; the papers use 0.2)")
+    weight_environment: float = _p(1.0, "weight of the environment's smoothness prior (relative)")
+
+    def __post_init__(self) -> None:
+        if self.iterations < 1:
+            raise ValueError("iterations must be at least 1")
+        if self.environment_resolution not in (8, 16, 32, 64, 128):
+            raise ValueError("environment_resolution must be 8, 16, 32, 64 or 128")
+        if not 0.3 <= self.splat_pixels <= 10:
+            raise ValueError("splat_pixels must lie between 0.3 and 10")
+        if self.max_splats < 100:
+            raise ValueError("max_splats must be at least 100")

@@ -1,0 +1,106 @@
+"""One view of the model: cull, rasterise the attributes, divide by opacity once, shade, polarise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+
+from pipeline.lighting import LightField, Shaded, shade
+
+from .data import View
+from .model import Splats, unit
+from .occlusion import ViewOcclusion
+from .rasterize import Raster, rasterize
+
+BACK_FACING = -0.15  # cosine below which a splat's outer side is turned away for good: it cannot show, only leak through
+LEAST_ALPHA = 1e-3  # opacity below which a pixel's attributes are noise over noise: they then fade to zero instead
+
+
+@dataclass(frozen=True)
+class GBuffer:
+    """Attributes of P pixels, divided by opacity: normal [P, 3] (unit, outward), albedo [P, 3], roughness, ior, alpha [P];
+    alpha_image [H, W]; the raster itself; rows: indices of the splats that were drawn."""
+
+    normal: torch.Tensor
+    albedo: torch.Tensor
+    roughness: torch.Tensor
+    ior: torch.Tensor
+    alpha: torch.Tensor
+    alpha_image: torch.Tensor
+    raster: Raster
+    rows: torch.Tensor
+
+
+@dataclass(frozen=True)
+class Rendered:
+    """Stokes radiance [P, 3, 3] times opacity, with the G-buffer and the shading that made it."""
+
+    stokes: torch.Tensor
+    gbuffer: GBuffer
+    shaded: Shaded
+
+
+def rasterise_view(splats: Splats, view: View, pixels: torch.Tensor, backend: str) -> GBuffer:
+    """G-buffer of a view at flat pixel indices [P]."""
+    height, width = view.size
+    centre = -view.world_to_camera[:3, :3].T @ view.world_to_camera[:3, 3]
+    with torch.no_grad():
+        towards = centre - splats.means
+        cosine = (splats.normals * towards).sum(-1)
+        rows = torch.nonzero(cosine > BACK_FACING * towards.norm(dim=-1))[:, 0]
+    features = torch.cat(
+        [splats.normals, splats.albedo, splats.roughness[:, None], splats.ior[:, None]], -1
+    )[rows]
+    raster = rasterize(
+        splats.means[rows],
+        splats.quaternions[rows],
+        splats.scales[rows],
+        splats.opacities[rows],
+        features,
+        view.world_to_camera,
+        view.intrinsics,
+        width,
+        height,
+        backend=backend,
+    )
+    alpha = raster.alpha.reshape(-1)[pixels]
+    values = raster.features.reshape(height * width, -1)[pixels] / alpha.clamp_min(LEAST_ALPHA)[:, None]
+    return GBuffer(
+        normal=unit(values[:, :3]),
+        albedo=values[:, 3:6],
+        roughness=values[:, 6],
+        ior=values[:, 7],
+        alpha=alpha,
+        alpha_image=raster.alpha,
+        raster=raster,
+        rows=rows,
+    )
+
+
+def render_view(
+    splats: Splats,
+    view: View,
+    light: LightField,
+    *,
+    backend: str = "cpu",
+    fresnel: str = "exact",
+    occlusion: ViewOcclusion | None = None,
+) -> Rendered:
+    """Stokes image of a view at its counting pixels."""
+    g = rasterise_view(splats, view, view.pixels, backend)
+    # An empty pixel has a zero normal: any finite one will do, its opacity is 0.
+    normal = torch.where(g.alpha[:, None] > 0, g.normal, view.view_direction)
+    shaded = shade(
+        normal,
+        view.view_direction,
+        g.albedo,
+        g.roughness,
+        g.ior,
+        view.frame_x,
+        view.frame_y,
+        light,
+        fresnel=fresnel,
+        **(occlusion.arguments() if occlusion is not None else {}),
+    )
+    return Rendered(shaded.stokes * g.alpha[:, None, None], g, shaded)

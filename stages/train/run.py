@@ -1,0 +1,177 @@
+"""The train stage's run: prepare, optimise with checkpoints and validation, write the results."""
+
+from __future__ import annotations
+
+import csv
+import os
+import time
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+# Threads that spin while they wait take the cores from each other as soon as anything else runs (20 times slower,
+# measured with two cores and two other processes); torch's OpenMP reads this once, when it is loaded.
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+
+import numpy as np
+import torch
+
+from pipeline.progress import Bar
+
+from . import checkpoint, export
+from .data import SourceView, View, load_sources, prepare
+from .parameters import TrainParameters
+from .setup import Start, prepare_training
+from .trainer import REFRESH, Trainer
+
+if TYPE_CHECKING:
+    from pipeline.stage import StageRun
+
+
+@dataclass
+class History:
+    """What the run remembers beside the model: log rows, wall time of earlier legs, best validation, steps skipped."""
+
+    rows: list[dict[str, float]] = field(default_factory=list)
+    wall_s: float = 0.0
+    best_db: float = -1e9
+    stale: int = 0
+    sums: dict[str, float] = field(default_factory=dict)
+    stopped_at: int = -1
+
+
+def train(stage: StageRun) -> None:
+    """Fill the stage's folder; resumes from `stage.scratch`. Raises UserError on data that cannot be trained."""
+    parameters: TrainParameters = stage.parameters
+    torch.manual_seed(parameters.seed)
+    torch.set_num_threads(max(1, min(os.cpu_count() or 1, 8)))
+    started = time.monotonic()
+    inputs = stage.inputs
+    sources, mode = load_sources(inputs["decode"], inputs["poses"], inputs.get("masks"), parameters.polarisation)
+    start = prepare_training(sources, mode, stage.capture.polarisers, stage.capture.up, parameters, stage.device)
+    backend = "cuda" if stage.device.startswith("cuda") else "cpu"
+    trainer = Trainer(start.scene, start.pyramids, mode, start.frame, parameters, backend)
+    history = optimise(trainer, stage, started)
+    if trainer.scene.bank is not None:
+        finish_polarisers(trainer, stage)
+    with torch.no_grad():
+        write_results(trainer, start, sources, stage)
+    write_log(stage.output / "train_log.csv", history.rows)
+    stage.note("splats", len(trainer.scene.model))
+    stage.note("iterations", trainer.iteration)
+    checkpoint.clear(stage.scratch)
+
+
+def optimise(trainer: Trainer, stage: StageRun, started: float) -> History:
+    """Run the schedule to its end, to the time limit, or until validation stops gaining; then consolidate."""
+    parameters, history = trainer.parameters, History()
+    saved = checkpoint.load(stage.scratch)
+    if saved is not None:
+        trainer.load(saved["trainer"])
+        history = History(**saved["history"])
+    earlier, last_saved = history.wall_s, time.monotonic()
+    with stage.progress.bar("training", total=parameters.iterations, unit="steps") as bar:
+        bar.skip(trainer.iteration)
+        while trainer.iteration < parameters.iterations:
+            now = time.monotonic()
+            history.wall_s = earlier + now - started
+            if trainer.iteration % REFRESH == 0 and now - last_saved > parameters.checkpoint_s:
+                checkpoint.save(stage.scratch, {"trainer": trainer.state(), "history": vars(history)})
+                last_saved = now
+            advance(trainer, history, bar)
+            if should_stop(trainer, history):
+                history.stopped_at = trainer.iteration
+                trainer.skip_to_consolidation()
+                bar.skip(trainer.iteration - history.stopped_at)
+        history.wall_s = earlier + time.monotonic() - started
+        record(trainer, history, trainer.validate())
+    return history
+
+
+def advance(trainer: Trainer, history: History, bar: Bar) -> None:
+    """One step, its losses into the running means, validation when it is due."""
+    losses = trainer.step()
+    for name, value in losses.items():
+        history.sums[name] = 0.98 * history.sums.get(name, value) + 0.02 * value
+    extra = ""
+    if trainer.iteration % trainer.parameters.validate_steps == 0:
+        psnr = trainer.validate()
+        record(trainer, history, psnr)
+        history.stale = 0 if psnr > history.best_db + trainer.parameters.patience_db else history.stale + 1
+        history.best_db = max(history.best_db, psnr)
+        extra = f"PSNR {psnr:.2f} dB"
+    bar.advance(1, extra=extra)
+
+
+def should_stop(trainer: Trainer, history: History) -> bool:
+    """Whether refining further is pointless or out of time (never twice, never while images are still coarse)."""
+    p = trainer.parameters
+    if history.stopped_at >= 0 or trainer.iteration % REFRESH:
+        return False
+    phase = trainer.phase(trainer.iteration)
+    if p.max_minutes > 0 and history.wall_s > 60 * p.max_minutes * (1 - p.consolidate_fraction):
+        return not phase.every_view
+    return history.stale >= p.patience and phase.level == 0 and not phase.every_view
+
+
+def record(trainer: Trainer, history: History, psnr: float) -> None:
+    """Append a row to the log."""
+    row = {"iteration": trainer.iteration, "wall_s": round(history.wall_s, 2), "psnr_validation": round(psnr, 4)}
+    row |= {name: round(value, 7) for name, value in history.sums.items()}
+    row |= {"splats": len(trainer.scene.model)}
+    history.rows.append(row)
+
+
+def write_log(path: Path, rows: list[dict[str, float]]) -> None:
+    """train_log.csv: iteration, wall_s, losses, validation PSNR."""
+    columns = list(dict.fromkeys(name for row in rows for name in row))
+    with path.open("w", newline="") as file:
+        writer = csv.DictWriter(file, columns)
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def finish_polarisers(trainer: Trainer, stage: StageRun) -> None:
+    """Standard deviations from the curvature at the end, and a warning where the capture cannot determine the Stokes vector."""
+    bank = trainer.scene.bank
+    assert bank is not None
+    for name, (_, std, _) in trainer.estimate_angles(0).items():
+        k = bank.names.index(name)
+        bank.std_deg[k] = 0.0 if bank.trusted[k] else float(np.degrees(std))
+    reason = bank.undetermined()
+    if reason:
+        stage.warn(f"the capture does not determine the polarisation: {reason}")
+
+
+def whole_view(trainer: Trainer, start: Start, source: SourceView) -> tuple[View, Any]:
+    """A view with every pixel that the model covers, whatever the masks say, and its rendering."""
+    blank = replace(source, mask=np.ones_like(source.mask), valid=np.ones_like(source.valid))
+    view = prepare(blank, start.frame, True, str(trainer.scene.model["position"].device))
+    return view, trainer.render_whole(view)
+
+
+def write_results(trainer: Trainer, start: Start, sources: list[SourceView], stage: StageRun) -> None:
+    """Everything that dataset.md lists for this stage, except the log."""
+    output, frame = stage.output, start.frame
+    (output / "test").mkdir(parents=True, exist_ok=True)
+    (output / "gbuffer").mkdir(parents=True, exist_ok=True)
+    with stage.progress.bar("writing views", total=len(sources), unit="views") as bar:
+        for source in sources:
+            view, rendered = whole_view(trainer, start, source)
+            channels = export.view_channels(rendered, view, frame)
+            kept = [name for name in channels if not name.startswith(("S", "diffuse", "specular"))]
+            export.write_view(output / "gbuffer" / f"{source.name}.exr", {name: channels[name] for name in kept})
+            if source.split == "test":
+                export.write_view(output / "test" / f"{source.name}.exr", channels)
+            bar.advance()
+    export.write_gaussians(output / "gaussians.ply", trainer.scene.model, frame)
+    export.write_environment(output / "env.exr", trainer.scene.environment.radiance(), frame)
+    export.write_polarisers(output / "polarisers.json", trainer.scene.bank)
+    facts = {
+        "up": stage.capture.up,
+        "fresnel": trainer.parameters.fresnel,
+        "lobe": trainer.parameters.lobe,
+        "environment_resolution": trainer.parameters.environment_resolution,
+        "occlusion": bool(trainer.scene.occlusion),
+    }
+    export.write_lighting(output / "lighting.json", frame, facts)

@@ -1,0 +1,85 @@
+"""From loaded views to a model that can be trained."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+
+from pipeline.capture.model import PolariserPrior
+
+from .data import Mode, SourceView, View, background_is_black, edge_offset, exposure_of, halved, prepare, with_validation
+from .environment import Environment
+from .frame import SceneFrame
+from .initialise.hull import HullMesh, Silhouette, visual_hull
+from .initialise.sampling import mesh_area, sample_evenly, wanted_count
+from .model import SplatModel, logit
+from .parameters import TrainParameters
+from .polarisers import PolariserBank
+from .trainer import Scene
+
+START_ALBEDO, START_ROUGHNESS, START_IOR = 0.35, 0.35, 1.5  # an everyday dielectric
+MEAN_EXPOSED = 0.25  # mean foreground radiance in the training exposure
+
+
+@dataclass(frozen=True)
+class Start:
+    """What training starts from: the scene, the views by pyramid level, the frame and facts about the data."""
+
+    scene: Scene
+    pyramids: list[list[View]]
+    frame: SceneFrame
+    hull: HullMesh  # in the training frame
+    black_background: bool
+    pixel: float  # a full-size pixel's width on the object, training units
+
+
+def prepare_training(
+    sources: list[SourceView],
+    mode: Mode,
+    priors: Mapping[str, PolariserPrior],
+    up: str,
+    parameters: TrainParameters,
+    device: str,
+) -> Start:
+    """Hull, splats, environment, polarisers and views in the training frame. Test views enter nowhere here."""
+    sources = with_validation(sources, parameters.validation_every)
+    seen = [s for s in sources if s.split != "test"]
+    black = background_is_black(seen)
+    offset = edge_offset(seen) if black else 0.0
+    silhouettes = [Silhouette(s.camera, s.mask) for s in seen if (s.mask > 0.5).any()]
+    hull, centre, half = visual_hull(silhouettes, parameters.hull_resolution, offset)
+    exposure = exposure_of(seen) * (1.0 if mode != "polarisers" else 0.5)
+    frame = replace(SceneFrame.of(up, centre, half), exposure=exposure)
+    hull = HullMesh(
+        (hull.vertices - centre) @ frame.train_from_world.T / half, hull.triangles, hull.normals @ frame.train_from_world.T
+    )
+    pixel = float(np.median([_pixel_width(s, frame) for s in seen]))
+    count = wanted_count(mesh_area(hull), pixel, parameters.splat_pixels, parameters.max_splats)
+    samples = sample_evenly(hull, count, np.random.default_rng(parameters.seed))
+    model = SplatModel.from_samples(samples, START_ALBEDO, START_ROUGHNESS, START_IOR, device)
+    _tint(model, seen)
+    # What a grey object of that albedo must be lit by to look as bright as the photographs do.
+    environment = Environment(parameters.environment_resolution, MEAN_EXPOSED / (0.85 * START_ALBEDO + 0.07), device)
+    bank = PolariserBank(priors, sorted({s.camera.name for s in seen}), device) if mode == "polarisers" else None
+    levels = [sources]
+    if parameters.coarse_fraction > 0:
+        levels.append([halved(s) for s in sources])
+    pyramids = [[prepare(s, frame, black, device) for s in level if s.split != "test"] for level in levels]
+    return Start(Scene(model, environment, bank), pyramids, frame, hull, black, pixel)
+
+
+def _pixel_width(source: SourceView, frame: SceneFrame) -> float:
+    camera = frame.camera(source.camera)
+    distance = float(np.linalg.norm(camera.centre))
+    return distance / (0.5 * (camera.fx + camera.fy))
+
+
+def _tint(model: SplatModel, seen: list[SourceView]) -> None:
+    """Start the albedo at the photographs' mean colour: the light is taken to be white until reflections say otherwise."""
+    mean = np.mean([s.image[:, :, 0][s.mask > 0.5].mean(0) for s in seen if (s.mask > 0.5).any()], 0)
+    colour = np.clip(START_ALBEDO * mean / max(float(mean.mean()), 1e-30), 0.03, 0.9)
+    raw = model.tensors["albedo"]
+    model.tensors["albedo"] = logit(torch.as_tensor(colour, dtype=torch.float32)).to(raw.device).expand_as(raw).clone().requires_grad_(True)

@@ -1,0 +1,52 @@
+"""Train: 2D Gaussians with polarimetric deferred shading (PhyGaP), from decoded views, cameras and masks."""
+
+from __future__ import annotations
+
+from pipeline.capture import Capture
+from pipeline.stage import Decision, Stage, StageRun
+
+from .parameters import TrainParameters
+
+FEWEST_VIEWS = 8  # the contract: training needs at least 8 views around the object
+
+
+def needed(capture: Capture, parameters: TrainParameters) -> Decision:
+    """Several views of one object; passes that the data do not need are left out."""
+    if capture.kind != "multiview":
+        return Decision(False, "a light stage of fixed cameras: nothing to train on")
+    if len(capture.views) < FEWEST_VIEWS:
+        return Decision(False, f"only {len(capture.views)} views; training needs {FEWEST_VIEWS} around the object")
+    mode = capture.polarisation if parameters.polarisation == "auto" else parameters.polarisation
+    unknown = [n for n in capture.camera_names if mode == "polarisers" and not _trusted(capture, n)]
+    polarised = {
+        "stokes": Decision(True, "full Stokes images"),
+        "polarisers": Decision(True, "compared behind each polariser"),
+        "none": Decision(False, "RGB only"),
+    }[mode]
+    angles = Decision(bool(unknown), f"unknown: {', '.join(unknown)}" if unknown else "no unknown polariser angle")
+    occlusion = Decision(parameters.occlusion, "decided from the trained shape" if parameters.occlusion else "switched off")
+    passes = {"polarisation_loss": polarised, "polariser_angles": angles, "occlusion": occlusion}
+    return Decision(True, f"{len(capture.views)} views of one object", passes)
+
+
+def _trusted(capture: Capture, name: str) -> bool:
+    prior = capture.polarisers.get(name)
+    return prior is not None and prior.trusted and prior.angle_deg is not None
+
+
+def run(stage: StageRun) -> None:
+    """Train and write what dataset.md lists for this stage."""
+    from .run import train
+
+    train(stage)
+
+
+STAGE = Stage(
+    name="train",
+    version=1,
+    parameters=TrainParameters,
+    needs=("decode", "poses", "masks"),
+    needed=needed,
+    run=run,
+    config=("up", "polarisers"),
+)
