@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numba import njit
 
-from stages.olat.numerics import FAST, HALF, ONE, ZERO, kth_largest, solve3
+from pipeline.lights.numerics import FAST, HALF, ONE, ZERO, kth_largest, solve3
 
 START_FRACTION = 0.3  # of the fifth-brightest sample: above it a light is surely not shadowed
 TUNING = 2.5  # Geman-McClure scale in standard deviations of the residual

@@ -9,8 +9,8 @@ import numpy as np
 from numba import njit
 
 from stages.olat.diffuse import fit_normal
-from stages.olat.lobes import evaluate
-from stages.olat.numerics import FAST, HALF, ONE, ZERO
+from pipeline.lights.lobes import evaluate
+from pipeline.lights.numerics import FAST, HALF, ONE, ZERO
 from stages.olat.specular import (
     LOBE_FRACTION,
     SIGMA_MAX,

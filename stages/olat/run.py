@@ -18,7 +18,7 @@ from pipeline.lights.solid_angles import solid_angles
 from pipeline.stage import StageRun
 from stages.olat.fit import fit
 from stages.olat.frames import bands_of, is_half, read_bands
-from stages.olat.lobes import LOBES
+from pipeline.lights.lobes import LOBES
 from stages.olat.maps_out import MapWriter
 from stages.olat.pixel import FLAG, Settings
 from stages.olat.preview import write_preview

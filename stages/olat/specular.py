@@ -11,8 +11,8 @@ import math
 import numpy as np
 from numba import njit
 
-from stages.olat.lobes import evaluate, normal_equations
-from stages.olat.numerics import FAST, ONE, ZERO, cholesky_solve
+from pipeline.lights.lobes import evaluate, normal_equations
+from pipeline.lights.numerics import FAST, ONE, ZERO, cholesky_solve
 
 LOBE_FRACTION = 0.05  # of the brightest sample: below it noise, not the lobe, would weigh the half vectors
 SIGMA_MIN, SIGMA_MAX = 1e-3, 10.0

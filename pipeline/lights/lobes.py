@@ -19,7 +19,7 @@ import math
 import numpy as np
 from numba import njit
 
-from stages.olat.numerics import FAST, FOUR, HALF, ONE, TINY, TWO, ZERO, exp
+from pipeline.lights.numerics import FAST, FOUR, HALF, ONE, TINY, TWO, ZERO, exp
 
 WARD, BECKMANN, PRINTED, PRINTED_COSINE = 0, 1, 2, 3
 LOBES = {"ward": WARD, "beckmann": BECKMANN, "printed": PRINTED, "printed-cosine": PRINTED_COSINE}
