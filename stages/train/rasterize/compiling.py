@@ -24,6 +24,6 @@ def kernel(function: Callable[..., Any]) -> Any:
     numba drops a cached kernel only when the kernel's own file changed, though constants and inlined helpers come from
     others: the stamp is over the folder instead.
     """
-    compiled = njit(cache=True, nogil=True, error_model="numpy")(function)
+    compiled: Any = njit(cache=True, nogil=True, error_model="numpy")(function)
     compiled._cache._cache_file._source_stamp = _STAMP
     return compiled

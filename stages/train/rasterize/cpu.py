@@ -83,12 +83,12 @@ class _View:
         return np.float32(k.NEAR_FRACTION * np.partition(z, (len(z) - 1) // 2)[(len(z) - 1) // 2] if len(z) else 1.0)
 
     def measure_radii(self, geo: np.ndarray) -> None:
-        """Half the larger side of each splat's box, 0 for those culled or outside the image."""
+        """Half the larger side of each splat's box, at most the image's larger side; 0 if culled or outside the image."""
         box = geo[:, LEFT : BOTTOM + 1]
         inside = (geo[:, STATE] != CULLED) & (box[:, 1] > 0) & (box[:, 0] < self.width)
         inside &= (box[:, 3] > 0) & (box[:, 2] < self.height)
         half = 0.5 * np.maximum(geo[:, RIGHT] - geo[:, LEFT], geo[:, BOTTOM] - geo[:, TOP])
-        self.radii[inside] = np.minimum(half[inside], 2 * max(self.width, self.height))
+        self.radii[inside] = np.minimum(half[inside], max(self.width, self.height))
 
 
 def _array(tensor: Tensor) -> np.ndarray:

@@ -30,6 +30,7 @@ INVERSE_VARIANCE = _f(k.SCREEN_INVERSE_VARIANCE)
 HALF_ANGLE = _f(k.MAX_HALF_ANGLE_FRACTION)
 MARGIN = _f(k.BOUNDS_MARGIN_PX)
 INFINITY = _f(np.inf)
+ZERO = _f(0)
 
 
 @kernel
@@ -73,7 +74,8 @@ def outline(X: float, z: float, ux: float, uz: float, vx: float, vz: float, r2: 
     if math.sqrt(dd) > HALF_ANGLE * z:
         return -INFINITY, INFINITY
     leading = dd - z * z
-    spread = math.sqrt(max(ed * ed - leading * ee, _f(0)))
+    inside = ed * ed - leading * ee
+    spread = math.sqrt(inside) if inside > 0 else ZERO
     return (ed + spread) / leading, (ed - spread) / leading
 
 

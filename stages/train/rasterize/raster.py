@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from importlib import import_module
 
 import torch
 from torch import Tensor
@@ -66,15 +68,11 @@ def rasterize(
     check_inputs(means, quats, scales, opacities, features, world_to_camera, intrinsics, width, height, pixel_mask)
     if near is not None and not near > 0:
         raise ValueError(f"near must be positive, got {near}")
-    arguments = (means, quats, scales, opacities, features, world_to_camera, intrinsics, int(width), int(height))
-    if backend == "cpu":
-        from .cpu import rasterize_cpu as run
-    elif backend == "reference":
-        from .reference import rasterize_reference as run
-    elif backend == "cuda":
-        from .cuda import rasterize_cuda as run
-    else:
+    if backend not in BACKENDS:
         raise ValueError(f"unknown rasteriser backend {backend!r}; there are {', '.join(BACKENDS)}")
+    room = import_module(f".{backend}", __package__)
+    run: Callable[..., Raster] = getattr(room, f"rasterize_{backend}")
+    arguments = (means, quats, scales, opacities, features, world_to_camera, intrinsics, int(width), int(height))
     return run(*arguments, near=near, pixel_mask=pixel_mask, screen_filter=screen_filter)
 
 

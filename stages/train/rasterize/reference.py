@@ -194,7 +194,7 @@ def rasterize_reference(
     absolute = torch.zeros(count, 2, dtype=dtype)  # sum over pixels of |dL/d centre|
     size = torch.tensor((width, height), dtype=dtype)
     on_screen = ((splats.high > 0) & (splats.low < size)).all(1)
-    half = 0.5 * (splats.high - splats.low).amax(1).clamp(max=float(max(width, height)) * 2)
+    half = (0.5 * (splats.high - splats.low).amax(1)).clamp(max=max(width, height))
     radii[splats.index] = torch.where(on_screen, half, torch.zeros_like(half)).detach()
 
     def block_image(pixels: Tensor, chosen: Tensor) -> Tensor:
@@ -202,9 +202,10 @@ def rasterize_reference(
         centre = near_by.centre.expand(len(pixels), -1, -1)
         if centre.requires_grad:
 
-            def add_absolute(gradient: Tensor) -> None:
-                absolute.index_add_(0, near_by.index, gradient.abs().sum(0))
-                screen_gradient.copy_(absolute.norm(dim=1))
+            def add_absolute(gradient: Tensor | None) -> None:
+                if gradient is not None:
+                    absolute.index_add_(0, near_by.index, gradient.abs().sum(0))
+                    screen_gradient.copy_(absolute.norm(dim=1))
 
             centre.register_hook(add_absolute)
         alpha, z = splat_alpha(pixels, near_by, centre, opacities[near_by.index], near, screen_filter)
@@ -212,7 +213,7 @@ def rasterize_reference(
         visible[near_by.index] = torch.maximum(visible[near_by.index], weight.amax(0))
         return image
 
-    image = torch.zeros(height, width, channels + 7, dtype=dtype)
+    places, values = [], []
     for rows, columns in blocks(width, height):
         y, x = torch.meshgrid(torch.arange(rows.start, rows.stop), torch.arange(columns.start, columns.stop), indexing="ij")
         wanted = torch.ones_like(x, dtype=torch.bool) if pixel_mask is None else pixel_mask[rows, columns]
@@ -222,9 +223,12 @@ def rasterize_reference(
         overlaps = (splats.high >= pixels.amin(0)) & (splats.low <= pixels.amax(0))
         chosen = overlaps.all(1).nonzero()[:, 0]
         if len(chosen):
-            flat = checkpoint(block_image, pixels, chosen, use_reentrant=False)
-            image = image.index_put((y[wanted], x[wanted]), flat)
-    parts = torch.split(image, (channels, 3, 1, 1, 1, 1), dim=2)
+            places.append(torch.stack((y[wanted], x[wanted])))
+            values.append(checkpoint(block_image, pixels, chosen, use_reentrant=False))
+    image = torch.zeros(height, width, channels + 7, dtype=dtype)
+    if values:
+        image = image.index_put(tuple(torch.cat(places, 1)), torch.cat(values))
+    parts = torch.split(image, [channels, 3, 1, 1, 1, 1], dim=2)
     blended, normal, alpha, expected, median, distortion = parts
     scalars = (alpha[..., 0], normal, expected[..., 0], median[..., 0], distortion[..., 0])
     return Raster(blended, *scalars, screen_gradient=screen_gradient, visible=visible, radii=radii)
