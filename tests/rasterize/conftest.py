@@ -112,9 +112,10 @@ def scenes() -> dict[str, Scene]:
 
 
 SCENES = scenes()
+QUICK = ("plain", "edge-on", "needles", "behind", "no channels")
 
 
-@pytest.fixture(params=list(SCENES))
+@pytest.fixture(params=[pytest.param(n, marks=[] if n in QUICK else [pytest.mark.slow]) for n in SCENES])
 def scene(request: pytest.FixtureRequest) -> Scene:
     return SCENES[request.param]
 
