@@ -56,19 +56,38 @@ def shade(
     mirror = 2 * facing[:, None] * normal - view
 
     diffuse = diffuse_radiance(normal, cosine, albedo, eta, light, fresnel)
-    tau = torch.as_tensor(splitsum.table(light.lobe), dtype=normal.dtype, device=normal.device)
-    tau0, tau1 = splitsum.lookup(tau, roughness, cosine).unbind(-1)
-    reflected = optics.normal_reflectance(eta) * tau0 + tau1
+    reflected, across = mirror_reflection(normal, cosine, roughness, eta, frame_x, frame_y, light.lobe, fresnel)
     specular = reflected[:, None] * light.mirrored(mirror, roughness)
 
     cos2, sin2 = surface_pattern(normal, frame_x, frame_y)
-    squared_sine = (normal * frame_x).sum(-1) ** 2 + (normal * frame_y).sum(-1) ** 2
-    polarised = (
-        optics.diffuse_polarisation(cosine, eta)[:, None] * diffuse
-        - optics.specular_polarisation(cosine, squared_sine, eta)[:, None] * specular
-    )
+    polarised = optics.diffuse_polarisation(cosine, eta)[:, None] * diffuse - across[:, None] * specular
     stokes = torch.stack((diffuse + specular, cos2[:, None] * polarised, sin2[:, None] * polarised), dim=1)
     return Shaded(stokes, diffuse, specular)
+
+
+def mirror_reflection(
+    normal: torch.Tensor,
+    cosine: torch.Tensor,
+    roughness: torch.Tensor,
+    eta: torch.Tensor,
+    frame_x: torch.Tensor,
+    frame_y: torch.Tensor,
+    lobe: str,
+    fresnel: str,
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """(albedo of the rough mirror [P], its polarisation over sin^2 [P]): see `splitsum`."""
+    where = (roughness * (splitsum.ROUGHNESS_NODES - 1), cosine.sqrt() * (splitsum.COSINE_NODES - 1))
+    table = splitsum.exact_table if fresnel == "exact" else splitsum.schlick_table
+    values = torch.as_tensor(table(lobe), dtype=cosine.dtype, device=cosine.device)
+    if fresnel == "schlick":
+        tau0, tau1 = splitsum.lookup(values, where).unbind(-1)
+        squared_sine = (normal * frame_x).sum(-1) ** 2 + (normal * frame_y).sum(-1) ** 2
+        across = optics.specular_polarisation(cosine, squared_sine, eta)
+        return optics.normal_reflectance(eta) * tau0 + tau1, across
+    low, high = splitsum.IOR_RANGE
+    index = (eta - low) * ((splitsum.IOR_NODES - 1) / (high - low))
+    rho, across = splitsum.lookup(values, (index, *where)).unbind(-1)
+    return optics.reflectance(cosine, eta) * rho, across
 
 
 def diffuse_radiance(

@@ -1,6 +1,10 @@
-"""Split-sum tables: what a rough dielectric mirrors of a constant environment, by quadrature.
+"""Split-sum tables: what a rough dielectric mirrors of a constant environment, and how polarised, by quadrature.
 
-For Fresnel F = F0 + (1 - F0)(1 - v.h)^5 the hemispherical integral is F0 tau0 + tau1 (PhyGaP Eqs. 16-17).
+Two models of the Fresnel term F(v.h) inside the lobe's integral A = int D G F/(4 (n.v)(n.l)) (n.l) dl:
+- "schlick": A = F0 tau0 + tau1 (PhyGaP Eqs. 16-18), table (tau0, tau1) in (r, n.v);
+- "exact": A = F(n.v) rho, and the polarisation of the mirrored light beta sin^2, table (rho, beta) in (eta, r, n.v).
+  For a mirror rho is 1 and beta is beta_s(n.v)/sin^2. beta_s belongs to the facet, not to the surface: half vectors
+  spread the plane of incidence, which weakens the polarisation of rough surfaces and moves Brewster's maximum.
 """
 
 from __future__ import annotations
@@ -11,16 +15,21 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from pipeline.optics import microfacet
+from pipeline.optics import fresnel, microfacet
 
 Float = NDArray[np.float64]
 
-# Grid of the tables: roughness 0..1 and cosine 0..1, uniform in its square root (the grazing end bends most).
-ROUGHNESS_NODES = 33
-COSINE_NODES = 49
-# Quadrature over the half vector: Gauss nodes in the lobe's own measure, azimuths on half a circle (symmetry).
-LOBE_NODES = 48
-AZIMUTHS = 48
+# Grid: roughness 0..1, cosine 0..1 uniform in its square root (the grazing end bends most), eta 1..2.6.
+ROUGHNESS_NODES = 25
+COSINE_NODES = 33
+IOR_NODES = 9
+IOR_RANGE = (1.0, 2.6)
+# Quadrature over the half vector: Gauss nodes in the lobe's own measure, azimuths over half a circle (symmetry).
+LOBE_NODES = 32
+AZIMUTHS = 32
+# Ends of the grid where the ratios are 0/0 but have limits: evaluated this far inside. Near normal incidence the
+# azimuthal average cancels to sin^2 of itself, which wants a visible sine.
+MIN_IOR, MIN_COSINE, MAX_COSINE = 1 + 1e-4, 1e-4, 0.99
 
 
 def half_vectors(alpha: float, lobe: str, nodes: int, azimuths: int) -> tuple[Float, Float, Float]:
@@ -31,40 +40,76 @@ def half_vectors(alpha: float, lobe: str, nodes: int, azimuths: int) -> tuple[Fl
     return np.sqrt(tan2), (np.arange(azimuths) + 0.5) * np.pi / azimuths, w / 2
 
 
-def reflected(cosines: Float, alpha: float, lobe: str, nodes: int, azimuths: int) -> tuple[Float, Float]:
-    """(v.h, weight) [C, n, m]: the lobe seen from each cosine; sum(weight F(v.h)) = its directional albedo."""
+def reflected(
+    cosines: Float, alpha: float, lobe: str, nodes: int = LOBE_NODES, azimuths: int = AZIMUTHS
+) -> tuple[Float, Float, Float]:
+    """(v.h, weight, cos 2 chi) [C, n, m] of the lobe seen from each cosine.
+
+    sum(weight F(v.h)) is the directional albedo; chi is the angle between the planes of incidence on the facet and
+    on the surface, seen along the view.
+    """
     tan, phi, w = half_vectors(alpha, lobe, nodes, azimuths)
     nh = 1 / np.sqrt(1 + tan * tan)[:, None]
-    hx = tan[:, None] * nh * np.cos(phi)
+    hx, hy = tan[:, None] * nh * np.cos(phi), tan[:, None] * nh * np.sin(phi)
     c = cosines[:, None, None]
-    vh = np.sqrt((1 - c) * (1 + c)) * hx + c * nh
+    s = np.sqrt((1 - c) * (1 + c))
+    vh = s * hx + c * nh
     nl = 2 * vh * nh - c
     lit = (vh > 0) & (nl > 0)
     shadow = microfacet.separable_shadowing(c, np.where(lit, nl, 1.0), np.asarray(alpha), lobe)
     weight = np.where(lit, shadow * vh / (c * nh), 0) * (w / azimuths)[:, None]
-    return np.clip(vh, 0, 1), weight
+    # Across the view the normal lies along -x', the facet at (hx c - nh s, hy).
+    along = nh * s - hx * c
+    square = along**2 + hy**2
+    turn = np.divide(along**2 - hy**2, square, out=np.ones_like(square), where=square > 0)
+    return np.clip(vh, 0, 1), weight, turn
+
+
+def _cosines() -> Float:
+    return np.clip(np.linspace(0, 1, COSINE_NODES) ** 2, MIN_COSINE, MAX_COSINE)
+
+
+def _alphas() -> Float:
+    return np.maximum(np.linspace(0, 1, ROUGHNESS_NODES), microfacet.MIN_ROUGHNESS) ** 2
 
 
 @lru_cache(maxsize=4)
-def table(lobe: str = "ggx") -> NDArray[np.float32]:
-    """(tau0, tau1) [roughness, cosine, 2] on the grid above."""
-    cosines = np.maximum(np.linspace(0, 1, COSINE_NODES) ** 2, 1e-4)  # the limit at 0 exists; 0/0 there does not
-    out = np.empty((ROUGHNESS_NODES, COSINE_NODES, 2))
-    for k, roughness in enumerate(np.linspace(0, 1, ROUGHNESS_NODES)):
-        alpha = max(roughness, microfacet.MIN_ROUGHNESS) ** 2
-        vh, weight = reflected(cosines, alpha, lobe, LOBE_NODES, AZIMUTHS)
-        schlick = (1 - vh) ** 5
-        out[k] = np.stack(((weight * (1 - schlick)).sum((1, 2)), (weight * schlick).sum((1, 2))), -1)
-    return out.astype(np.float32)
+def schlick_table(lobe: str = "ggx") -> NDArray[np.float32]:
+    """(tau0, tau1) [roughness, cosine, 2]."""
+    out = np.empty((ROUGHNESS_NODES, COSINE_NODES, 2), np.float32)
+    for k, alpha in enumerate(_alphas()):
+        vh, weight, _ = reflected(_cosines(), alpha, lobe)
+        m = (1 - vh) ** 5
+        out[k] = np.stack(((weight * (1 - m)).sum((1, 2)), (weight * m).sum((1, 2))), -1)
+    return out
 
 
-def lookup(values: torch.Tensor, roughness: torch.Tensor, cosine: torch.Tensor) -> torch.Tensor:
-    """Bilinear lookup [P, C] of a table [ROUGHNESS_NODES, COSINE_NODES, C]; arguments [P] in (0, 1]."""
-    rows, cols = values.shape[:2]
-    y, x = roughness * (rows - 1), cosine.sqrt() * (cols - 1)
-    j = y.detach().floor().clamp(0, rows - 2).long()
-    i = x.detach().floor().clamp(0, cols - 2).long()
-    y, x = (y - j)[:, None], (x - i)[:, None]
-    top = values[j, i] * (1 - x) + values[j, i + 1] * x
-    bottom = values[j + 1, i] * (1 - x) + values[j + 1, i + 1] * x
-    return top * (1 - y) + bottom * y
+@lru_cache(maxsize=4)
+def exact_table(lobe: str = "ggx") -> NDArray[np.float32]:
+    """(rho, beta) [eta, roughness, cosine, 2]: albedo over F(n.v), and polarisation over sin^2(n.v)."""
+    out = np.empty((IOR_NODES, ROUGHNESS_NODES, COSINE_NODES, 2), np.float32)
+    c = _cosines()
+    sin2 = (1 - c) * (1 + c)
+    for k, alpha in enumerate(_alphas()):
+        vh, weight, turn = reflected(c, alpha, lobe)
+        for e, eta in enumerate(np.maximum(np.linspace(*IOR_RANGE, IOR_NODES), MIN_IOR)):
+            across, along = fresnel.reflectances(vh, np.asarray(eta))
+            albedo = (weight * (across + along)).sum((1, 2)) / 2
+            polarised = (weight * (across - along) * turn).sum((1, 2)) / 2
+            out[e, k, :, 0] = albedo / fresnel.reflectance(c, np.asarray(eta))
+            out[e, k, :, 1] = polarised / (albedo * sin2)
+    return out
+
+
+def lookup(values: torch.Tensor, coordinates: tuple[torch.Tensor, ...]) -> torch.Tensor:
+    """Multilinear lookup [P, C] of a table [n1, .., nk, C] at coordinates [P] in node units (clipped to the grid)."""
+    corners: list[tuple[torch.Tensor, torch.Tensor]] = [
+        (torch.zeros((), dtype=torch.long, device=values.device), values.new_ones(()))
+    ]
+    for size, x in zip(values.shape, coordinates):
+        x = x.clamp(0, size - 1)
+        i = x.detach().floor().clamp(0, size - 2).long()
+        t = x - i
+        corners = [(row * size + i + k, w * (t if k else 1 - t)) for row, w in corners for k in (0, 1)]
+    flat = values.reshape(-1, values.shape[-1])
+    return torch.stack([w[:, None] * flat[row] for row, w in corners]).sum(0)
