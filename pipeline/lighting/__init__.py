@@ -8,6 +8,6 @@ shaded = shade(normal, view, albedo, roughness, ior, frame_x, frame_y, light)
 from .cube import cube_directions
 from .environment import EnvironmentCube
 from .prefilter import LightField, Prefilter
-from .shading import Shaded, shade
+from .shading import Occlusion, Shaded, shade
 
-__all__ = ["EnvironmentCube", "LightField", "Prefilter", "Shaded", "cube_directions", "shade"]
+__all__ = ["EnvironmentCube", "LightField", "Occlusion", "Prefilter", "Shaded", "cube_directions", "shade"]

@@ -17,8 +17,8 @@ from pipeline.optics.fresnel import hemispherical_transmittance
 from pipeline.optics.microfacet import MIN_ROUGHNESS
 from pipeline.optics.sphere import cube_solid_angles
 
-from . import kernels
-from .cube import AXES, cube_directions, extended_size, lookup
+from . import kernels, splitsum
+from .cube import AXES, cube_directions, extended_size, lookup, padded_indices
 from .symmetry import SymmetricMap, representatives
 
 LOBES = {"ggx": kernels.GGX, "beckmann": kernels.BECKMANN}
@@ -70,6 +70,26 @@ class LightField:
         """Integral of L (n.w) d omega [P, 3], with T(n.w) at eta = 1.5 inside if `transmitted`."""
         level = self.transmitted if transmitted else self.cosine
         return lookup(level.of(self.packed), normals, level.resolution)
+
+    def tables(self) -> tuple[np.ndarray, ...]:
+        """What the fused kernels need beside `packed`: see `_fused_tables`."""
+        return _fused_tables(self.roughnesses, (*self.specular, self.transmitted), self.lobe)
+
+
+@lru_cache(maxsize=8)
+def _fused_tables(roughnesses: tuple[float, ...], levels: tuple[Level, ...], lobe: str) -> tuple[np.ndarray, ...]:
+    """(roughness nodes, sizes, starts, padded indices of all sizes, where each level's begin, split-sum table)."""
+    sizes = sorted({level.resolution for level in levels})
+    pads = [padded_indices(n).ravel() for n in sizes]
+    begin = dict(zip(sizes, np.concatenate(([0], np.cumsum([len(p) for p in pads])))))
+    return (
+        np.array(roughnesses, np.float32),
+        np.array([level.resolution for level in levels]),
+        np.array([level.start for level in levels]),
+        np.concatenate(pads),
+        np.array([begin[level.resolution] for level in levels]),
+        splitsum.exact_table(lobe),
+    )
 
 
 class Prefilter:

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 
 from pipeline.optics import fresnel as optics
-from pipeline.optics.microfacet import MIN_ROUGHNESS
 from pipeline.optics.stokes import surface_pattern
 
-from . import kernels, splitsum
+from . import kernels, limits, splitsum
 from .prefilter import LightField
 
-# Normals turned away are shaded at this cosine (89.4 degrees): beyond it nothing is visible of a real surface.
-MIN_COSINE = 0.01
 FRESNELS = ("exact", "schlick")
 
 
@@ -30,39 +28,91 @@ class Shaded:
     specular: torch.Tensor
 
 
+@dataclass(frozen=True)
+class Occlusion:
+    """What the object itself takes from and adds to the light at P points; see `visibility` and `gridmap`.
+
+    irradiance' = shadow * irradiance + bounced, mirrored' = unblocked * mirrored + seen.
+    """
+
+    shadow: torch.Tensor  # [P, 3] share of the unoccluded irradiance that arrives
+    bounced: torch.Tensor  # [P, 3] irradiance from the object's own surface (radiance units times sr)
+    unblocked: torch.Tensor  # [P] share of the mirrored lobe that leaves the object
+    seen: torch.Tensor  # [P, 3] radiance of the object's own surface in the rest of it
+
+
 def shade(
     normal: torch.Tensor,  # [P, 3] unit, world
     view: torch.Tensor,  # [P, 3] unit, world, towards the camera
     albedo: torch.Tensor,  # [P, 3] diffuse reflectance, linear RGB
     roughness: torch.Tensor,  # [P] perceptual, alpha = r^2
     ior: torch.Tensor,  # [P] eta >= 1
-    frame_x: torch.Tensor,  # [P, 3] the pixel's Stokes axes: unit, world, perpendicular to view
+    frame_x: torch.Tensor,  # [P, 3] the pixel's Stokes axes: unit, world, perpendicular to view; no gradient
     frame_y: torch.Tensor,  # [P, 3]
     light: LightField,
     *,
+    occlusion: Occlusion | None = None,
     fresnel: str = "exact",
 ) -> Shaded:
-    """Stokes vectors of P points under a prefiltered environment; differentiable in every tensor.
+    """Stokes vectors of P points under a prefiltered environment; differentiable in all but the frame.
 
-    fresnel: "exact" transmits light into and out of the body (Baek et al.'s polarised plastic); "schlick" is
-    PhyGaP Eq. 20, (1 - F_schlick) albedo/pi E.
+    fresnel: "exact" transmits light into and out of the body (Baek et al.'s polarised plastic) and integrates
+    Fresnel's equations over the lobe; "schlick" is PhyGaP Eq. 20, (1 - F_schlick) albedo/pi E, with F0 tau0 + tau1.
+    Values outside `limits` are clamped, their gradient kept. float32 on the CPU runs a fused kernel ("exact" only).
     """
     if fresnel not in FRESNELS:
         raise ValueError(f"fresnel {fresnel!r}: must be one of {', '.join(FRESNELS)}")
-    roughness = clamp_keeping_gradient(roughness, MIN_ROUGHNESS, 1.0)
-    eta = clamp_keeping_gradient(ior, 1.0, float("inf"))
-    facing = (normal * view).sum(-1)
-    cosine = clamp_keeping_gradient(facing, MIN_COSINE, 1.0)
-    mirror = 2 * facing[:, None] * normal - view
+    arguments = (normal, view, albedo, roughness, ior, frame_x, frame_y)
+    fast = fresnel == "exact" and all(x.device.type == "cpu" and x.dtype == torch.float32 for x in (*arguments, light.packed))
+    if not fast:
+        return plain(*arguments, light, occlusion=occlusion, fresnel=fresnel)
+    blocked = (None,) * 4 if occlusion is None else (
+        occlusion.shadow, occlusion.bounced, occlusion.unblocked, occlusion.seen
+    )  # fmt: skip
+    return Shaded(*_Fused.apply(light, *arguments, light.packed, *blocked))
 
-    diffuse = diffuse_radiance(normal, cosine, albedo, eta, light, fresnel)
+
+def plain(
+    normal: torch.Tensor,
+    view: torch.Tensor,
+    albedo: torch.Tensor,
+    roughness: torch.Tensor,
+    ior: torch.Tensor,
+    frame_x: torch.Tensor,
+    frame_y: torch.Tensor,
+    light: LightField,
+    *,
+    occlusion: Occlusion | None = None,
+    fresnel: str = "exact",
+) -> Shaded:
+    """`shade` in readable torch, any float type and device: the definition."""
+    roughness = clamp_keeping_gradient(roughness, limits.MIN_ROUGHNESS, limits.MAX_ROUGHNESS)
+    eta = clamp_keeping_gradient(ior, limits.MIN_IOR, float("inf"))
+    facing = (normal * view).sum(-1)
+    cosine = clamp_keeping_gradient(facing, limits.MIN_COSINE, 1.0)
+
+    received = light.irradiance(normal, transmitted=fresnel == "exact")
+    mirrored = light.mirrored(2 * facing[:, None] * normal - view, roughness)
+    if occlusion is not None:
+        received = occlusion.shadow * received + occlusion.bounced
+        mirrored = occlusion.unblocked[:, None] * mirrored + occlusion.seen
+    diffuse = body_transmission(cosine, eta, fresnel)[:, None] * albedo * received
     reflected, across = mirror_reflection(normal, cosine, roughness, eta, frame_x, frame_y, light.lobe, fresnel)
-    specular = reflected[:, None] * light.mirrored(mirror, roughness)
+    specular = reflected[:, None] * mirrored
 
     cos2, sin2 = surface_pattern(normal, frame_x, frame_y)
     polarised = optics.diffuse_polarisation(cosine, eta)[:, None] * diffuse - across[:, None] * specular
     stokes = torch.stack((diffuse + specular, cos2[:, None] * polarised, sin2[:, None] * polarised), dim=1)
     return Shaded(stokes, diffuse, specular)
+
+
+def body_transmission(cosine: torch.Tensor, eta: torch.Tensor, fresnel: str) -> torch.Tensor:
+    """L_d / (albedo x received light) [P]: out of the body, and in relative to the level's IoR (physics.md 3)."""
+    if fresnel == "schlick":
+        return (1 - optics.schlick(cosine, eta)) / torch.pi
+    reference = torch.tensor(kernels.REFERENCE_IOR, dtype=eta.dtype, device=eta.device)
+    entering = optics.hemispherical_transmittance(eta) / optics.hemispherical_transmittance(reference)
+    return optics.transmittance(cosine, eta) * entering / torch.pi
 
 
 def mirror_reflection(
@@ -90,25 +140,38 @@ def mirror_reflection(
     return optics.reflectance(cosine, eta) * rho, across
 
 
-def diffuse_radiance(
-    normal: torch.Tensor,
-    cosine: torch.Tensor,
-    albedo: torch.Tensor,
-    eta: torch.Tensor,
-    light: LightField,
-    fresnel: str,
-) -> torch.Tensor:
-    """L_d [P, 3]: light through the surface, off the pigment, and out."""
-    if fresnel == "schlick":
-        leaving = 1 - optics.schlick(cosine, eta)
-    else:
-        reference = torch.tensor(kernels.REFERENCE_IOR, dtype=eta.dtype, device=eta.device)
-        entering = optics.hemispherical_transmittance(eta) / optics.hemispherical_transmittance(reference)
-        leaving = optics.transmittance(cosine, eta) * entering
-    received = light.irradiance(normal, transmitted=fresnel == "exact")
-    return (leaving / torch.pi)[:, None] * albedo * received
-
-
 def clamp_keeping_gradient(x: torch.Tensor, low: float, high: float) -> torch.Tensor:
     """x limited to [low, high]; the gradient passes as if it were not, so that a value outside finds back."""
     return x + (x.clamp(low, high) - x).detach()
+
+
+class _Fused(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, light: LightField, *tensors: torch.Tensor | None) -> tuple[torch.Tensor, ...]:
+        from . import fused
+
+        inputs = [torch.empty(0) if x is None else x.detach().contiguous() for x in tensors]
+        # Absent occlusion: empty arrays of the right rank.
+        if tensors[8] is None:
+            inputs[8:] = [torch.empty(0, 3), torch.empty(0, 3), torch.empty(0), torch.empty(0, 3)]
+        ctx.arrays, ctx.light, ctx.given = [x.numpy() for x in inputs], light, [x is not None for x in tensors]
+        points = len(ctx.arrays[0])
+        out = (torch.empty(points, 3, 3), torch.empty(points, 3), torch.empty(points, 3))
+        kernel: Any = fused.forward
+        kernel(*ctx.arrays[:8], *light.tables(), *ctx.arrays[8:], *(x.numpy() for x in out))
+        return out
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
+        from . import fused
+
+        a = ctx.arrays
+        tables = torch.zeros(fused.chunks(len(a[0])), *a[7].shape)
+        new = [torch.empty(x.shape) for x in (*a[:5], *a[8:])]
+        kernel: Any = fused.backward
+        kernel(
+            *a[:8], *ctx.light.tables(), *a[8:], *(g.contiguous().numpy() for g in gradients),
+            *(x.numpy() for x in new[:5]), tables.numpy(), *(x.numpy() for x in new[5:]),
+        )  # fmt: skip
+        occlusion = [x if given else None for x, given in zip(new[5:], ctx.given[8:])]
+        return (None, *new[:5], None, None, tables.sum(0), *occlusion)

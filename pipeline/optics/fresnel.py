@@ -18,8 +18,9 @@ Array = Any
 # Below this cosine eta = 1 gives 0/0 (q = c there); its square is still a normal float32.
 MIN_COSINE = 1e-6
 
-# A0(eta)/pi as a polynomial in (eta - 1.8)/0.8, lowest order first: see hemispherical_transmittance.
-_HEMISPHERICAL = (
+# A0(eta)/pi as a polynomial in eta mapped from this range to [-1, 1], lowest order first.
+HEMISPHERICAL_RANGE = (1.0, 2.6)
+HEMISPHERICAL = (
     0.865945551,
     -0.10870526,
     0.0100868005,
@@ -130,8 +131,9 @@ def hemispherical_transmittance(eta: Array) -> Array:
     2.5e-5 above eta = 1.25 (at eta = 1 the integral has a branch point that no polynomial follows).
     """
     xp = array_namespace(eta)
-    x = (xp.clip(eta, 1.0, 2.6) - 1.8) / 0.8
-    value = 0 * x + _HEMISPHERICAL[-1]
-    for coefficient in _HEMISPHERICAL[-2::-1]:
+    low, high = HEMISPHERICAL_RANGE
+    x = (2 * xp.clip(eta, low, high) - (low + high)) / (high - low)
+    value = 0 * x + HEMISPHERICAL[-1]
+    for coefficient in HEMISPHERICAL[-2::-1]:
         value = value * x + coefficient
     return value
