@@ -62,6 +62,7 @@ def _run(modules: Mapping[str, str], arguments: Sequence[str]) -> int:
     capture = open_capture(capture_path)
     dataset = Dataset(dataset_path)
     environments = _environments(options, capture)
+    capture = dataclasses.replace(capture, environments=environments)  # with those of ENVS=
     overrides: dict[str, dict[str, Any]] = dict(parse_overrides(options.params, stages))
     if options.command in stages:
         given = {k[2:]: v for k, v in vars(options).items() if k.startswith("p_") and v is not None}

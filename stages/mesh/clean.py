@@ -1,0 +1,142 @@
+"""From the extracted surface to a tidy mesh: pieces, holes, order."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass
+class Mesh:
+    """Triangles [F, 3] over vertices [V, 3]; per-vertex attributes [V, C] by name."""
+
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int64]
+    attributes: dict[str, NDArray[np.float32]] = field(default_factory=dict)
+
+    @classmethod
+    def from_open3d(cls, mesh: Any) -> Mesh:
+        """Vertices and triangles of an Open3D tensor mesh."""
+        if "positions" not in mesh.vertex or "indices" not in mesh.triangle:
+            return cls(np.zeros((0, 3)), np.zeros((0, 3), np.int64))
+        return cls(mesh.vertex.positions.numpy().astype(np.float64), mesh.triangle.indices.numpy().astype(np.int64))
+
+    def to_open3d(self) -> Any:
+        """The bare surface as an Open3D tensor mesh."""
+        import open3d as o3d
+
+        out = o3d.t.geometry.TriangleMesh()
+        out.vertex.positions = o3d.core.Tensor(np.ascontiguousarray(self.vertices, np.float32))
+        out.triangle.indices = o3d.core.Tensor(np.ascontiguousarray(self.faces, np.int32))
+        return out
+
+    def area(self) -> NDArray[np.float64]:
+        """Area of each triangle [F]."""
+        a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))
+        return np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
+
+    def normals(self) -> NDArray[np.float64]:
+        """Area-weighted unit vertex normals [V, 3]; +z where a vertex has no area to tell."""
+        a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))
+        face = np.cross(b - a, c - a)
+        out = np.zeros_like(self.vertices)
+        for k in range(3):
+            np.add.at(out, self.faces[:, k], face)
+        length = np.linalg.norm(out, axis=1, keepdims=True)
+        up = np.broadcast_to([0.0, 0.0, 1.0], out.shape).copy()
+        return np.divide(out, length, out=up, where=length > 0)
+
+
+def keep_faces(mesh: Mesh, keep: NDArray[np.bool_]) -> Mesh:
+    """The chosen triangles and the vertices that they use."""
+    faces = mesh.faces[keep]
+    used = np.unique(faces)
+    place = np.full(len(mesh.vertices), -1)
+    place[used] = np.arange(len(used))
+    return Mesh(mesh.vertices[used], place[faces], {k: v[used] for k, v in mesh.attributes.items()})
+
+
+def largest_pieces(mesh: Mesh, share: float) -> Mesh:
+    """Connected pieces of at least `share` of the largest one's area."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    if not len(mesh.faces):
+        return mesh
+    edges = np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]]])
+    n = len(mesh.vertices)
+    _, label = connected_components(coo_matrix((np.ones(len(edges)), edges.T), (n, n)), directed=False)
+    area = np.bincount(label[mesh.faces[:, 0]], mesh.area(), label.max() + 1)
+    return keep_faces(mesh, area[label[mesh.faces[:, 0]]] >= share * area.max())
+
+
+def without_slivers(mesh: Mesh) -> Mesh:
+    """No triangle of zero area or with a vertex twice."""
+    f = mesh.faces
+    distinct = (f[:, 0] != f[:, 1]) & (f[:, 1] != f[:, 2]) & (f[:, 2] != f[:, 0])
+    return keep_faces(mesh, distinct & (mesh.area() > 0))
+
+
+def in_fixed_order(mesh: Mesh) -> Mesh:
+    """Vertices by coordinates, triangles by their vertices: the extraction's own order varies from run to run."""
+    order = np.lexsort(mesh.vertices.T)
+    place = np.empty(len(order), np.int64)
+    place[order] = np.arange(len(order))
+    faces = place[mesh.faces]
+    first = faces.argmin(1)[:, None]
+    faces = np.take_along_axis(faces, (first + np.arange(3)) % 3, 1)
+    faces = faces[np.lexsort(faces.T[::-1])]
+    return Mesh(mesh.vertices[order], faces, {k: v[order] for k, v in mesh.attributes.items()})
+
+
+def boundary_loops(mesh: Mesh) -> list[NDArray[np.int64]]:
+    """Closed chains of boundary edges, as vertex indices in the order of the hole's rim."""
+    f = mesh.faces
+    edges = np.concatenate([f[:, [0, 1]], f[:, [1, 2]], f[:, [2, 0]]])
+    key = edges[:, 0] * len(mesh.vertices) + edges[:, 1]
+    twin = edges[:, 1] * len(mesh.vertices) + edges[:, 0]
+    open_edges = edges[~np.isin(key, twin)]
+    following: dict[int, list[int]] = {}
+    for a, b in open_edges:
+        following.setdefault(int(b), []).append(int(a))  # against the triangles' sense: the filling turns outward
+    loops = []
+    while following:
+        start = next(iter(following))
+        loop, at = [start], start
+        while at in following:
+            ahead = following[at].pop()
+            if not following[at]:
+                del following[at]
+            at = ahead
+            if at == start:
+                break
+            loop.append(at)
+        if at == start and len(loop) > 2:
+            loops.append(np.array(loop))
+    return loops
+
+
+def fill_holes(mesh: Mesh, rings: int = 12) -> tuple[Mesh, int]:
+    """Close every hole by rings of triangles that shrink towards its centre; returns the mesh and the number closed.
+
+    A flat rim gets a flat lid. The lids are guesses where nothing was seen: shadows and closedness need them.
+    """
+    vertices, faces, count = [mesh.vertices], [mesh.faces], len(mesh.vertices)
+    loops = boundary_loops(mesh)
+    for loop in loops:
+        rim = mesh.vertices[loop]
+        centre = rim.mean(0)
+        n, steps = len(loop), 1 if len(loop) < 24 else rings
+        inner = [centre + (rim - centre) * (1 - k / steps) for k in range(1, steps)]
+        ids = [loop] + [count + k * n + np.arange(n) for k in range(steps - 1)]
+        for outer_ring, inner_ring in zip(ids[:-1], ids[1:]):
+            a, b, c, d = outer_ring, np.roll(outer_ring, -1), inner_ring, np.roll(inner_ring, -1)
+            faces += [np.stack([a, b, c], -1), np.stack([b, d, c], -1)]
+        tip = count + (steps - 1) * n
+        faces.append(np.stack([ids[-1], np.roll(ids[-1], -1), np.full(n, tip)], -1))
+        vertices += [*inner, centre[None]]
+        count = tip + 1
+    return Mesh(np.concatenate(vertices), np.concatenate(faces)), len(loops)

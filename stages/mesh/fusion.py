@@ -1,0 +1,104 @@
+"""Truncated signed distance from depth images: Curless and Levoy 1996, along normals instead of rays, with carving.
+
+Open3D keeps the sparse blocks and extracts the surface; the fusion itself is here because a view should count by how
+squarely and how closely it sees a point, and because its built-in one samples depth at the nearest pixel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import kernels
+from .gbuffer import DepthView
+
+BLOCK = 8  # voxels along a block's edge
+FREE_WEIGHT = 0.5  # of a ray that misses the object, against a surface seen squarely
+LEAST_WEIGHT = 0.02  # a voxel seen only at grazing angles by one view says too little
+
+
+@dataclass(frozen=True)
+class Extent:
+    """The object as the depths show it: corners [3] each, longest side, and the median footprint of a pixel on it."""
+
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+    footprint: float
+
+    @property
+    def size(self) -> float:
+        """Longest side in world units."""
+        return float((self.high - self.low).max())
+
+
+def points_of(view: DepthView) -> NDArray[np.float64]:
+    """World points [N, 3] of the pixels with depth."""
+    c = view.camera
+    row, column = np.nonzero(view.depth)
+    z = view.depth[row, column].astype(np.float64)
+    local = np.stack([(column + 0.5 - c.cx) / c.fx * z, (row + 0.5 - c.cy) / c.fy * z, z], -1)
+    return (local - c.world_to_camera[:3, 3]) @ c.world_to_camera[:3, :3]
+
+
+def measure(views: Iterable[DepthView]) -> Extent:
+    """Extent of the object, a thousandth of outlying points left out on every side."""
+    views = list(views)
+    points = np.concatenate([points_of(v) for v in views])
+    low, high = np.quantile(points, [0.001, 0.999], axis=0)
+    footprint = np.median([np.median(v.depth[v.depth > 0]) / np.sqrt(v.camera.fx * v.camera.fy) for v in views if v.depth.any()])
+    return Extent(low, high, float(footprint))
+
+
+class Volume:
+    """A sparse signed distance field around the back-projected depths."""
+
+    def __init__(self, views: Iterable[DepthView], extent: Extent, voxel: float, truncation: float) -> None:
+        import open3d as o3d
+
+        self.voxel, self.truncation = voxel, truncation
+        float32 = o3d.core.float32
+        margin = 4 * truncation
+        points = np.concatenate([points_of(v) for v in views])
+        near = ((points > extent.low - margin) & (points < extent.high + margin)).all(1)
+        touched = _blocks_near(points[near], voxel, truncation)
+        self._grid = o3d.t.geometry.VoxelBlockGrid(
+            ("tsdf", "weight"), (float32, float32), ((1), (1)), voxel, BLOCK, len(touched), o3d.core.Device("CPU:0")
+        )
+        self._grid.hashmap().activate(o3d.core.Tensor(touched))
+        indices = self._grid.hashmap().active_buf_indices()
+        coordinates, flat = self._grid.voxel_coordinates_and_flattened_indices(indices)
+        self._points = np.ascontiguousarray(coordinates.numpy(), np.float32)
+        self._flat = flat.numpy()
+        self._distance = np.zeros(len(self._points), np.float32)  # in truncations
+        self._weight = np.zeros(len(self._points), np.float32)
+
+    def integrate(self, view: DepthView, grazing: float) -> None:
+        """Blend one view's depth in; rays that miss the object carve."""
+        c = view.camera
+        pinhole = (c.fx, c.fy, c.cx, c.cy)
+        pose = (np.ascontiguousarray(c.world_to_camera), np.ascontiguousarray(c.centre))
+        images = (np.ascontiguousarray(view.depth), np.ascontiguousarray(view.normal))
+        state = (self._points, self._distance, self._weight)
+        kernels.integrate(*state, *images, *pose, *pinhole, self.truncation, grazing, FREE_WEIGHT)
+
+    def extract(self) -> Any:
+        """The zero crossing as an Open3D tensor mesh (possibly empty)."""
+        import open3d as o3d
+
+        for name, values in (("tsdf", self._distance), ("weight", self._weight)):
+            field = self._grid.attribute(name).reshape((-1, 1))
+            field[o3d.core.Tensor(self._flat)] = o3d.core.Tensor(values[:, None])
+        return self._grid.extract_triangle_mesh(weight_threshold=LEAST_WEIGHT)
+
+
+def _blocks_near(points: NDArray, voxel: float, truncation: float) -> NDArray[np.int32]:
+    """Sorted coordinates [B, 3] of the blocks within a truncation of any point."""
+    edge = BLOCK * voxel
+    reach = truncation + voxel
+    offsets = np.array([(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)]) * reach
+    blocks = [np.unique(np.floor((points + o) / edge).astype(np.int32), axis=0) for o in offsets]
+    return np.unique(np.concatenate(blocks), axis=0)

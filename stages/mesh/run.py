@@ -1,0 +1,60 @@
+"""The mesh stage's steps, from G-buffers to mesh.ply."""
+
+from __future__ import annotations
+
+from pipeline.cameras import load_cameras
+from pipeline.errors import UserError
+from pipeline.stage import StageRun
+
+from .attributes import bake, vertex_table
+from .clean import Mesh, fill_holes, in_fixed_order, keep_faces, largest_pieces, without_slivers
+from .fusion import Extent, Volume, measure
+from .gbuffer import DepthView, read_views
+from .ply import write_ply
+
+
+def make_mesh(run: StageRun) -> None:
+    """Fuse, extract, clean, bake, write."""
+    p = run.parameters
+    views = read_views(run.inputs["train"] / "gbuffer", load_cameras(run.inputs["poses"] / "cameras.json"))
+    extent = measure(views.values())
+    voxel = max(p.voxel_px * extent.footprint, extent.size / p.max_voxels)
+    mesh = _surface(run, list(views.values()), extent, voxel)
+    holes = 0
+    if p.fill_holes:
+        mesh, holes = fill_holes(mesh)
+    mesh = in_fixed_order(without_slivers(mesh))
+    mesh, seen = bake(mesh, views.values(), 2 * voxel)
+    write_ply(run.output / "mesh.ply", *vertex_table(mesh), mesh.faces)
+    run.note("size", extent.size)
+    run.note("voxel", voxel)
+    run.note("triangles", len(mesh.faces))
+    run.note("vertices_seen", seen)
+    run.note("holes_filled", holes)
+    if p.poisson:
+        _write_poisson(run, mesh, list(views.values()), voxel)
+
+
+def _surface(run: StageRun, views: list[DepthView], extent: Extent, voxel: float) -> Mesh:
+    p = run.parameters
+    truncation = p.truncation_voxels * voxel
+    volume = Volume(views, extent, voxel, truncation)
+    with run.progress.bar("fusing depth", total=len(views), unit="views") as bar:
+        for view in views:
+            volume.integrate(view, p.grazing)
+            bar.advance(1)
+    mesh = without_slivers(Mesh.from_open3d(volume.extract()))
+    mesh = largest_pieces(mesh, p.component_pct / 100)
+    if not len(mesh.faces):
+        folder = run.inputs["train"] / "gbuffer"
+        raise UserError(folder, "the depth images hold no surface", "look at the train stage's pictures: did it train?")
+    return mesh
+
+
+def _write_poisson(run: StageRun, mesh: Mesh, views: list[DepthView], voxel: float) -> None:
+    from .poisson import poisson_surface
+
+    surface = largest_pieces(without_slivers(poisson_surface(mesh, run.parameters.poisson_depth)), 0.02)
+    surface = in_fixed_order(keep_faces(surface, surface.area() > 0))
+    surface, _ = bake(surface, views, 3 * voxel)
+    write_ply(run.output / "mesh_poisson.ply", *vertex_table(surface), surface.faces)

@@ -1,0 +1,53 @@
+"""Mesh: fuse every view's depth into a signed distance field, extract it, clean it, bake the material onto it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from pipeline.capture import Capture
+from pipeline.stage import Decision, Stage, StageRun
+
+MIN_TRAINING_VIEWS = 8  # as the train stage: fewer have no model
+
+
+@dataclass(frozen=True)
+class MeshParameters:
+    """How the depth images become a surface."""
+
+    voxel_px: float = field(default=1.2, metadata={"help": "voxel edge, in pixel footprints on the object (px)"})
+    max_voxels: int = field(default=320, metadata={"help": "voxels along the object's longest side at most (count)"})
+    truncation_voxels: float = field(default=5.0, metadata={"help": "truncation distance (voxels)"})
+    grazing: float = field(default=0.15, metadata={"help": "least cosine between ray and normal of a depth that counts"})
+    component_pct: float = field(default=2.0, metadata={"help": "smaller pieces than this go (percent of the largest's area)"})
+    fill_holes: bool = field(default=True, metadata={"help": "close holes that no view sees into (such as the underside)"})
+    poisson: bool = field(default=False, metadata={"help": "also write mesh_poisson.ply, a closed surface"})
+    poisson_depth: int = field(default=8, metadata={"help": "octree depth of the Poisson surface (levels)"})
+
+    def __post_init__(self) -> None:
+        if not 0.1 <= self.voxel_px <= 10:
+            raise ValueError("voxel_px must lie between 0.1 and 10")
+        if not 16 <= self.max_voxels <= 2048:
+            raise ValueError("max_voxels must lie between 16 and 2048")
+        if not 1.5 <= self.truncation_voxels <= 50:
+            raise ValueError("truncation_voxels must lie between 1.5 and 50")
+        if not 4 <= self.poisson_depth <= 12:
+            raise ValueError("poisson_depth must lie between 4 and 12")
+
+
+def needed(capture: Capture, parameters: MeshParameters) -> Decision:
+    """Only where a model is trained: depth comes from it."""
+    if capture.kind == "light_stage":
+        return Decision(False, "a light stage has no views all around, so no model to take a surface from")
+    if len(capture.views) < MIN_TRAINING_VIEWS:
+        return Decision(False, f"{len(capture.views)} views are too few for a model ({MIN_TRAINING_VIEWS} needed)")
+    return Decision(True, "a model is trained: its depth images become a surface")
+
+
+def run(run: StageRun) -> None:
+    """Write mesh.ply (and mesh_poisson.ply when asked)."""
+    from .run import make_mesh
+
+    make_mesh(run)
+
+
+STAGE = Stage("mesh", 1, MeshParameters, ("poses", "train"), needed, run)

@@ -1,0 +1,81 @@
+"""Deferred shading of points under one map: positions and material in, Stokes vectors out (torch)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from pipeline.lighting import LightField, Prefilter, latlong, shade
+from pipeline.lights.environment import Y_UP_FROM
+
+
+@dataclass(frozen=True)
+class Surface:
+    """P surface points seen by a camera, world frame: unit normals and directions to the camera [P, 3], material, frame.
+
+    material [P, 5]: albedo R G B, roughness, ior. frame_x, frame_y [P, 3]: each pixel's Stokes axes.
+    """
+
+    position: NDArray
+    normal: NDArray
+    view: NDArray
+    material: NDArray
+    frame_x: NDArray
+    frame_y: NDArray
+
+
+@dataclass(frozen=True)
+class ShadingModel:
+    """How training shaded (its lighting.json): relighting does the same."""
+
+    up: str = "y"
+    fresnel: str = "exact"
+    lobe: str = "ggx"
+    occlusion: bool = False
+
+    @classmethod
+    def read(cls, path: Path, up: str) -> ShadingModel:
+        """From lighting.json; what it does not say keeps its default."""
+        import json
+
+        facts = json.loads(path.read_text()) if path.exists() else {}
+        known = {k: facts[k] for k in ("fresnel", "lobe", "occlusion") if k in facts}
+        return cls(up=facts.get("up", up), **known)
+
+
+class Lamp:
+    """One environment map, prefiltered."""
+
+    def __init__(self, radiance: NDArray[np.float32], resolution: int, model: ShadingModel) -> None:
+        cube = torch.as_tensor(latlong.to_cube(radiance, resolution), dtype=torch.float32)
+        self.model = model
+        self.cube = cube
+        self.light: LightField = Prefilter(resolution, model.lobe).apply(cube)
+        self._turn = Y_UP_FROM[model.up]  # maps are y up
+
+    def turned(self, vectors: NDArray) -> torch.Tensor:
+        """World vectors [P, 3] in the map's frame."""
+        return torch.as_tensor(np.ascontiguousarray(vectors @ self._turn.T, np.float32))
+
+    def stokes(self, surface: Surface, occlusion: Any = None) -> NDArray[np.float32]:
+        """Stokes vectors [P, 3, 3 rgb] of the points' radiance."""
+        material = torch.as_tensor(np.ascontiguousarray(surface.material, np.float32))
+        with torch.no_grad():
+            shaded = shade(
+                self.turned(surface.normal),
+                self.turned(surface.view),
+                material[:, :3].contiguous(),
+                material[:, 3].contiguous(),
+                material[:, 4].contiguous(),
+                self.turned(surface.frame_x),
+                self.turned(surface.frame_y),
+                self.light,
+                occlusion=occlusion,
+                fresnel=self.model.fresnel,
+            )
+        return shaded.stokes.numpy()

@@ -1,0 +1,117 @@
+"""A turntable of the mesh under one map, by ray casting with the baked vertex attributes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.cameras import Camera
+from pipeline.images import srgb_encode, write_png
+from pipeline.lights.environment import Y_UP_FROM
+from pipeline.stage import StageRun
+
+from .deferred import Lamp, Surface
+
+SUPERSAMPLE = 2  # rays across a pixel
+FRAME_MS = 60
+ATTRIBUTES = ("nx", "ny", "nz", "albedo_r", "albedo_g", "albedo_b", "roughness", "ior")
+
+
+class TexturedMesh:
+    """The mesh with its vertex attributes, ready for rays."""
+
+    def __init__(self, path: Path) -> None:
+        import open3d as o3d
+
+        vertices, self.attributes, self.faces = read_ply(path)
+        self.low, self.high = vertices.min(0), vertices.max(0)
+        self._tensor = o3d.core.Tensor
+        self._scene = o3d.t.geometry.RaycastingScene()
+        self._scene.add_triangles(self._tensor(vertices.astype(np.float32)), self._tensor(self.faces.astype(np.uint32)))
+
+    def hit(self, origin: NDArray, directions: NDArray) -> tuple[NDArray[np.bool_], NDArray, NDArray]:
+        """Rays from `origin` along `directions` [N, 3]: which hit, and position [M, 3], attributes [M, 8] of those."""
+        rays = np.concatenate([np.broadcast_to(origin, directions.shape), directions], -1).astype(np.float32)
+        answer = self._scene.cast_rays(self._tensor(rays))
+        distance = answer["t_hit"].numpy()
+        hit = np.isfinite(distance)
+        corner = self.faces[answer["primitive_ids"].numpy()[hit].astype(np.int64)]
+        u, v = answer["primitive_uvs"].numpy()[hit].T
+        share = np.stack([1 - u - v, u, v], -1)
+        values = np.einsum("nk,nkc->nc", share, self.attributes[corner])
+        return hit, origin + directions[hit] * distance[hit, None], values
+
+
+def read_ply(path: Path) -> tuple[NDArray, NDArray, NDArray]:
+    """Vertices [V, 3], attributes [V, 8] and faces [F, 3] of a mesh.ply of the mesh stage."""
+    data = path.read_bytes()
+    head, _, body = data.partition(b"end_header\n")
+    fields: list[tuple[str, str]] = []
+    counts: dict[str, int] = {}
+    for line in head.decode().splitlines():
+        words = line.split()
+        if words[0] == "element":
+            counts[words[1]] = int(words[2])
+        elif words[0] == "property" and words[1] != "list":
+            fields.append((words[2], {"float": "<f4", "uchar": "u1"}[words[1]]))
+    rows = np.frombuffer(body, np.dtype(fields), counts["vertex"])
+    triangle = np.dtype([("n", "u1"), ("v", "<i4", (3,))])
+    faces = np.frombuffer(body, triangle, counts["face"], offset=rows.nbytes)["v"].astype(np.int64)
+    position = np.stack([rows[c] for c in "xyz"], -1).astype(np.float64)
+    return position, np.stack([rows[n] for n in ATTRIBUTES], -1).astype(np.float64), faces
+
+
+def orbit(cameras: dict[str, Camera], centre: NDArray, up: str, count: int, size: int) -> list[Camera]:
+    """Cameras around `centre` at the capture's median distance and elevation, with its widest field of view."""
+    turn = Y_UP_FROM[up]
+    offsets = np.stack([(c.centre - centre) @ turn.T for c in cameras.values()])
+    distance = float(np.median(np.linalg.norm(offsets, axis=1)))
+    elevation = float(np.median(np.arcsin(np.clip(offsets[:, 1] / np.linalg.norm(offsets, axis=1), -1, 1))))
+    focal = min(c.fy / c.height for c in cameras.values()) * size
+    out = []
+    for k in range(count):
+        azimuth = 2 * np.pi * k / count
+        back = np.array([np.cos(elevation) * np.sin(azimuth), np.sin(elevation), np.cos(elevation) * np.cos(azimuth)])
+        right = np.array([np.cos(azimuth), 0.0, -np.sin(azimuth)])
+        rotation = np.stack([right, -np.cross(back, right), -back]) @ turn
+        pose = np.eye(4)
+        pose[:3, :3] = rotation
+        pose[:3, 3] = -rotation @ (centre + distance * (back @ turn))
+        out.append(Camera(size, size, focal, focal, size / 2, size / 2, pose))
+    return out
+
+
+def render(mesh: TexturedMesh, camera: Camera, lamp: Lamp) -> NDArray[np.float32]:
+    """Linear RGB [H, W, 3] of the mesh on black."""
+    fine = camera.resized(camera.width * SUPERSAMPLE, camera.height * SUPERSAMPLE)
+    rays = fine.rays().reshape(-1, 3)
+    frame_x, frame_y = (f.reshape(-1, 3) for f in fine.stokes_frame())
+    hit, position, values = mesh.hit(fine.centre, rays)
+    normal = values[:, :3] / np.linalg.norm(values[:, :3], axis=1, keepdims=True)
+    surface = Surface(position, normal, -rays[hit], values[:, 3:], frame_x[hit], frame_y[hit])
+    image = np.zeros((len(rays), 3), np.float32)
+    image[hit] = np.nan_to_num(lamp.stokes(surface)[:, 0])
+    blocks = image.reshape(camera.height, SUPERSAMPLE, camera.width, SUPERSAMPLE, 3)
+    return blocks.mean((1, 3))
+
+
+def write_turntable(run: StageRun, lamp: Lamp, cameras: dict[str, Camera], folder: Path) -> None:
+    """turntable/NNN.png and turntable.webp of one map."""
+    from PIL import Image
+
+    if "mesh" not in run.inputs:
+        run.warn("there is no mesh, so no turntable")
+        return
+    mesh = TexturedMesh(run.inputs["mesh"] / "mesh.ply")
+    centre = (mesh.low + mesh.high) / 2
+    p = run.parameters
+    frames = []
+    with run.progress.bar("turntable", total=p.turntable, unit="frames") as bar:
+        for k, camera in enumerate(orbit(cameras, centre, lamp.model.up, p.turntable, p.turntable_size)):
+            shown = (srgb_encode(render(mesh, camera, lamp)) * 255 + 0.5).astype(np.uint8)
+            write_png(folder / "turntable" / f"{k:03d}.png", shown)
+            frames.append(Image.fromarray(shown))
+            bar.advance(1)
+    frames[0].save(folder / "turntable.webp", save_all=True, append_images=frames[1:], duration=FRAME_MS, loop=0, quality=85)
