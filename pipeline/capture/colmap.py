@@ -73,7 +73,7 @@ def read_model(folder: Path) -> ColmapModel:
 
 def _camera(model: str, width: int, height: int, p: list[float], matrix: NDArray[np.float64], path: Path) -> Camera:
     if model == "SIMPLE_PINHOLE":
-        f, c, k = (p[0], p[0]), p[1:3], ()
+        f, c, k = (p[0], p[0]), p[1:3], tuple[float, ...]()
     elif model == "PINHOLE":
         f, c, k = (p[0], p[1]), p[2:4], ()
     elif model == "SIMPLE_RADIAL":
@@ -89,7 +89,8 @@ def _camera(model: str, width: int, height: int, p: list[float], matrix: NDArray
 
 def pose_matrix(q: Iterable[float], t: Iterable[float]) -> NDArray[np.float64]:
     """World-to-camera [4, 4] of COLMAP's quaternion (w, x, y, z) and translation."""
-    w, x, y, z = np.asarray(list(q), float) / np.linalg.norm(list(q))
+    quaternion = np.array(list(q), float)
+    w, x, y, z = quaternion / np.linalg.norm(quaternion)
     out = np.eye(4)
     out[:3, :3] = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],

@@ -16,7 +16,14 @@ from pipeline.capture.model import Capture
 MODULES = (
     "ict_light_stage",
     "phygap_mitsuba",
+    "pandora",
+    "rmvp3d",
+    "smvp3d",
     "transforms",
+    "two_camera",
+    "angle_stack",
+    "mosaic",
+    "photographs",
 )
 
 

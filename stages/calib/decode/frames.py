@@ -142,7 +142,7 @@ def make_physical(stokes: NDArray[np.float32]) -> tuple[int, int]:
     length = np.hypot(stokes[:, :, 1], stokes[:, :, 2])
     negative, impossible = s0 < 0, (length > s0) & (s0 >= 0)
     np.maximum(s0, 0, out=s0)
-    over = negative | impossible
+    over = (negative | impossible) & (length > 0)
     if over.any():
         factor = np.where(over, s0 / np.where(over, length, 1), 1).astype(np.float32)
         stokes[:, :, 1] *= factor

@@ -1,0 +1,70 @@
+"""PANDORA: images_stokes/NAME_s0.hdr, _s0p1.hdr, _s0p2.hdr (twice the radiance), masks/, cameras.npz."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.capture.assemble import assemble
+from pipeline.capture.camera_source import from_idr
+from pipeline.capture.config import CaptureConfig
+from pipeline.capture.files import FLOAT_SUFFIXES
+from pipeline.capture.frame import apply_stokes_config
+from pipeline.capture.layouts import Layout
+from pipeline.capture.model import Capture, DecodedView, ViewSource
+from pipeline.capture.pixels import read_linear
+from pipeline.capture.stokes_files import finished
+from pipeline.errors import UserError
+from pipeline.images import image_size
+
+FOLDER, CAMERAS = "images_stokes", "cameras.npz"
+PARTS = ("s0", "s0p1", "s0p2")
+RADIANCE = np.float32(0.5)
+"""The files store the sum of two crossed exposures, twice the radiance behind an unpolarised lens."""
+
+
+def recognise(root: Path) -> bool:
+    folder = root / FOLDER
+    return folder.is_dir() and any(p.stem.endswith("_s0") and p.suffix.lower() in FLOAT_SUFFIXES for p in folder.iterdir())
+
+
+def read(root: Path, config: CaptureConfig) -> Capture:
+    """Open the capture. Raises UserError naming a missing part."""
+    folder = root / FOLDER
+    found: dict[str, dict[str, Path]] = {}
+    for path in sorted(folder.iterdir()):
+        name, _, part = path.stem.rpartition("_")
+        if path.suffix.lower() in FLOAT_SUFFIXES and part in PARTS:
+            found.setdefault(name, {})[part] = path
+    views = []
+    for name, parts in sorted(found.items()):
+        missing = [p for p in PARTS if p not in parts]
+        if missing:
+            raise UserError(folder / f"{name}_{missing[0]}.hdr", "is missing", "every view needs _s0, _s0p1 and _s0p2")
+        paths = tuple(parts[p] for p in PARTS)
+        views.append(ViewSource(name, paths, "camera", _loader(paths, config), image_size(paths[0])))
+    sizes = {v.view: v.size or (0, 0) for v in views}
+    has_cameras = (root / CAMERAS).is_file()
+    cameras = from_idr(root / CAMERAS, list(sizes), sizes) if has_cameras else None
+    capture = assemble(
+        root, "pandora", config, folder, tuple(views), "stokes", cameras, (root / CAMERAS,) if has_cameras else ()
+    )
+    return replace(capture, facts=("files hold twice the radiance: halved",))
+
+
+def _loader(paths: tuple[Path, ...], config: CaptureConfig) -> Callable[[], DecodedView]:
+    def load() -> DecodedView:
+        parts = [read_linear(p, replace(config.radiometry, encoding="linear")).rgb(p) for p in paths]
+        if len({p.shape for p in parts}) > 1:
+            raise UserError(paths[1], f"is {parts[1].shape[:2]}, {paths[0].name} is {parts[0].shape[:2]}", "one size a view")
+        s0, s0p1, s0p2 = parts
+        stokes = np.stack([s0, s0p1 - s0, s0p2 - s0], axis=2) * RADIANCE
+        return finished(DecodedView(stokes=apply_stokes_config(stokes, config.stokes)), paths[0])
+
+    return load
+
+
+LAYOUT = Layout("pandora", "images_stokes/NAME_s0.hdr, NAME_s0p1.hdr, NAME_s0p2.hdr and cameras.npz", recognise, read)

@@ -1,0 +1,67 @@
+"""PhyGaP's two-camera captures: one COLMAP folder per polariser, each with its images and model, in one world frame."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from pipeline.cameras import Camera
+from pipeline.capture.camera_source import from_colmap
+from pipeline.capture.colmap import find_model
+from pipeline.capture.config import CaptureConfig
+from pipeline.capture.files import (
+    check_masks,
+    find_environments,
+    find_masks,
+    image_folder,
+    list_images,
+    polariser_priors,
+    sorted_views,
+)
+from pipeline.capture.layouts import Layout
+from pipeline.capture.model import Capture, ViewSource
+from pipeline.capture.sources import discover
+from pipeline.errors import UserError
+
+
+def recognise(root: Path) -> bool:
+    return find_model(root) is None and len(camera_folders(root)) >= 2
+
+
+def camera_folders(root: Path) -> list[Path]:
+    """Folders with a COLMAP model of their own."""
+    return [p for p in sorted(root.iterdir()) if p.is_dir() and not p.name.startswith(".") and find_model(p) is not None]
+
+
+def read(root: Path, config: CaptureConfig) -> Capture:
+    """Open the capture; views are named FOLDER_IMAGE, the folder names the polariser."""
+    views: list[ViewSource] = []
+    cameras: dict[str, Camera] = {}
+    masks: dict[str, Path] = {}
+    files: list[Path] = []
+    warnings: list[str] = []
+    for folder in camera_folders(root):
+        images = image_folder(folder)
+        paths = list_images(images) if images != folder else [p for p in list_images(folder) if "mask" not in p.parent.name]
+        if not paths:
+            raise UserError(images, "the COLMAP folder holds no image", "put the images behind this polariser into images/")
+        name = folder.name
+        here = discover(paths, images, config, lambda _, name=name: name, kind="colour")  # type: ignore[misc]
+        found, _, more, model = from_colmap(folder, here.views, images)
+        kept = [v for v in here.views if v.view in found]
+        given, missing = find_masks(folder, {v.view: v.paths[0] for v in kept}, images)
+        check_masks(given, lambda view, kept=kept: next(v.size or (0, 0) for v in kept if v.view == view))  # type: ignore[misc]
+        views += [replace(v, view=f"{name}_{v.view}") for v in kept]
+        cameras.update({f"{name}_{view}": camera for view, camera in found.items()})
+        masks.update({f"{name}_{view}": path for view, path in given.items()})
+        warnings += more + missing
+        files += [*model, *(p for v in kept for p in v.paths), *given.values()]
+    environments = find_environments(root)
+    return Capture(
+        root, "phygap_two_camera", "multiview", "polarisers", sorted_views(views), environments=environments, config=config,
+        up=config.up or "y", cameras=cameras, masks=masks or None, files=(*files, *environments), warnings=tuple(warnings),
+        polarisers=polariser_priors({v.camera for v in views}, config, root),
+    )  # fmt: skip
+
+
+LAYOUT = Layout("two_camera", "two folders, one per polariser, each with a COLMAP model and its images", recognise, read)

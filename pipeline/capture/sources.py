@@ -1,0 +1,293 @@
+"""Image files to views: which are stacks, mosaics, brackets, Stokes files or plain pictures, and how each is read."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.capture.brackets import read_exposures
+from pipeline.capture.config import CaptureConfig
+from pipeline.capture.files import FLOAT_SUFFIXES, RAW_SUFFIXES, refuse_duplicates
+from pipeline.capture.frame import apply_stokes_config
+from pipeline.capture.grouping import Group, group_files
+from pipeline.capture.model import DecodedView, ViewSource
+from pipeline.capture.pixels import LinearImage
+from pipeline.capture.stack import design_covariance, polariser_design, solve_stack
+from pipeline.capture.stokes_files import finished, holds_stokes, stokes_exr_loader
+from pipeline.errors import UserError
+from pipeline.images import channel_names, image_size
+
+Camera_of = Callable[[Group], str]
+
+
+@dataclass(frozen=True)
+class Sources:
+    """The views of a set of files; `kind` is "stokes_files", "stack", "mosaic" or "colour"; facts for the user."""
+
+    kind: str
+    views: tuple[ViewSource, ...]
+    groups: tuple[Group, ...]
+    facts: tuple[str, ...] = ()
+
+    @property
+    def holds_stokes(self) -> bool:
+        return self.kind != "colour"
+
+
+def discover(paths: list[Path], folder: Path, config: CaptureConfig, camera_of: Camera_of, kind: str | None = None) -> Sources:
+    """Views of the image files `paths` below `folder`. Raises UserError on names that clash or files that cannot mix.
+
+    `kind` forces the understanding ("mosaic", "stack", "colour") where a layout or capture.toml says so.
+    """
+    stokes = [p for p in paths if p.suffix.lower() == ".exr" and holds_stokes(channel_names(p))]
+    if stokes:
+        odd = sorted(set(paths) - set(stokes))
+        if odd:
+            raise UserError(odd[0], f"holds no Stokes channels while {len(stokes)} other images do", "export every image alike")
+        groups = group_files(paths, folder, config, stacks=False)
+        views = tuple(
+            ViewSource(g.view, g.paths, camera_of(g), stokes_exr_loader(g.paths[0], config), image_size(g.paths[0]))
+            for g in groups
+        )
+        refuse_duplicates((g.view, p) for g in groups for p in g.paths)
+        return Sources("stokes_files", views, tuple(groups))
+    groups = group_files(paths, folder, config, stacks=kind in (None, "stack"))
+    _refuse_clashes(groups, folder)
+    if any(g.is_stack for g in groups):
+        return _stacks(groups, config, camera_of)
+    if kind == "mosaic" or (kind is None and is_mosaic(groups[0].paths[0], config)):
+        return _mosaics(groups, config, camera_of)
+    views = tuple(ViewSource(g.view, g.paths, camera_of(g), _colour_loader(g, config), size_of(g.paths[0])) for g in groups)
+    return Sources("colour", views, tuple(groups))
+
+
+def size_of(path: Path) -> tuple[int, int]:
+    """(width, height) as decoded; of a raw file the visible area."""
+    if path.suffix.lower() in RAW_SUFFIXES:
+        from pipeline.capture.raw import raw_size
+
+        return raw_size(path)
+    return image_size(path)
+
+
+def _refuse_clashes(groups: list[Group], folder: Path) -> None:
+    """Two files for one view and angle that are no bracket: 001.png beside 001.exr, a_b.png beside a/b.png."""
+    seen: dict[str, Path] = {}
+    for group in groups:
+        if group.view in seen:
+            raise UserError(
+                group.paths[0], f"has the same view name {group.view!r} as {seen[group.view]}", "rename or remove one"
+            )
+        seen[group.view] = group.paths[0]
+        for exposures in group.angles.values():
+            plain = [e for e in exposures if e.seconds is None and e.stops is None]
+            if len(plain) > 1:
+                first, second = sorted(e.path for e in plain)[:2]
+                raise UserError(second, f"has the same view name {group.view!r} as {first}", "rename or remove one of them")
+
+
+def _stacks(groups: list[Group], config: CaptureConfig, camera_of: Camera_of) -> Sources:
+    usual = max(groups, key=lambda g: len(g.angles))
+    for g in groups:
+        if len(g.angles) < 3:
+            have = ", ".join(f"{a:g}°" for a in g.angles if a is not None)
+            want = ", ".join(f"{a:g}°" for a in usual.angles if a is not None)
+            raise UserError(
+                g.paths[0],
+                f"view {g.view} has only the angles {have} (others have {want})",
+                "add the missing files, or remove the view",
+            )
+    angles = ", ".join(f"{a:g}" for a in usual.angles if a is not None)
+    views = tuple(
+        ViewSource(g.view, g.paths, camera_of(g), _stack_loader(g, config, camera_of(g)), size_of(g.paths[0])) for g in groups
+    )
+    return Sources("stack", views, tuple(groups), (f"stacks behind a polariser at {angles} degrees",))
+
+
+def _mosaics(groups: list[Group], config: CaptureConfig, camera_of: Camera_of) -> Sources:
+    colour = config.mosaic.colour or mosaic_colour(groups[0].paths[0], config)
+    views = tuple(
+        ViewSource(g.view, g.paths, camera_of(g), _mosaic_loader(g, config, colour), size_of(g.paths[0])) for g in groups
+    )
+    order = " ".join(f"{a:g}" for a in config.mosaic.order[:2]) + " / " + " ".join(f"{a:g}" for a in config.mosaic.order[2:])
+    return Sources(
+        "mosaic",
+        views,
+        tuple(groups),
+        (f"polariser mosaic {order} ({'quad-Bayer ' + config.mosaic.bayer if colour == 'bayer' else 'monochrome'})",),
+    )
+
+
+def _colour_loader(group: Group, config: CaptureConfig) -> Callable[[], DecodedView]:
+    def load() -> DecodedView:
+        image = read_exposures(group.angles[None], config.radiometry)
+        rgb = np.ascontiguousarray(image.rgb(group.paths[0]))
+        if config.radiometry.white_balance:
+            rgb *= np.asarray(config.radiometry.white_balance, np.float32)
+        return finished(DecodedView(rgb=rgb, saturated=image.saturated, alpha=image.alpha), group.paths[0], image)
+
+    return load
+
+
+def _stack_loader(group: Group, config: CaptureConfig, camera: str) -> Callable[[], DecodedView]:
+    angles = [a for a in group.angles if a is not None]
+    told = config.polarisers.get(camera)
+    design = polariser_design(angles, told.extinction if told else None)
+
+    def load() -> DecodedView:
+        images = [read_exposures(exposures, config.radiometry) for exposures in group.angles.values()]
+        first = images[0]
+        for exposures, image in zip(group.angles.values(), images):
+            if image.pixels.shape[:2] != first.pixels.shape[:2]:
+                have, want = image.pixels.shape[1::-1], first.pixels.shape[1::-1]
+                raise UserError(exposures[0].path, f"is {have[0]}x{have[1]}, its stack {want[0]}x{want[1]}", "one size a stack")
+        samples = np.stack([image.rgb(e[0].path) for e, image in zip(group.angles.values(), images)])
+        holes = ~np.isfinite(samples).all(-1)
+        samples = np.where(np.isfinite(samples), samples, 0) if holes.any() else samples
+        saturated = np.stack([image.saturated for image in images])
+        stokes, lost = solve_stack(samples, design, ~(saturated | holes))
+        if config.radiometry.white_balance:
+            stokes *= np.asarray(config.radiometry.white_balance, np.float32)
+        stokes = apply_stokes_config(stokes, config.stokes)
+        view = DecodedView(stokes=stokes, saturated=lost, design=design, covariance=design_covariance(design))
+        if len(angles) > 3:
+            view.noise = _stack_noise(samples, design)
+            moved = _movement(samples, design)
+            if moved:
+                view.faults[
+                    "the angles do not fit one Stokes vector along edges: did the camera or the object move between them?"
+                ] = 0
+        if holes.any():
+            view.faults["not finite: left out of the fit"] = int(holes.any(0).sum())
+        return finished(view, group.paths[0], first)
+
+    return load
+
+
+def _residuals(samples: NDArray[np.float32], design: NDArray[np.float64]) -> NDArray[np.float32]:
+    """What no Stokes vector explains of samples [n, H, W, C], on every fourth row."""
+    rows = samples[:, ::4].reshape(len(samples), -1)
+    projector = (np.eye(len(design)) - design @ np.linalg.pinv(design)).astype(np.float32)
+    return (projector @ rows).reshape(samples[:, ::4].shape)
+
+
+def _stack_noise(samples: NDArray[np.float32], design: NDArray[np.float64]) -> float:
+    """Standard deviation of a sample, from the residuals (n - 3 degrees of freedom)."""
+    residual = _residuals(samples, design)
+    return float(np.median(np.abs(residual)) / 0.6745 * np.sqrt(len(design) / (len(design) - 3)))
+
+
+MOVED = 0.25
+"""Of the local contrast: residuals this large at edges are a shift of a quarter of a pixel, not noise."""
+
+
+def _movement(samples: NDArray[np.float32], design: NDArray[np.float64]) -> bool:
+    """Whether residuals follow edges, as they do where the pictures of a stack do not lie on each other."""
+    residual = np.abs(_residuals(samples, design)).max(0).mean(-1)
+    grey = samples.mean((0, -1))
+    gradient = np.abs(np.gradient(grey, axis=1))[::4]
+    strong = gradient > np.percentile(gradient, 95)
+    flat = gradient < np.percentile(gradient, 50)
+    if strong.sum() < 50 or not gradient[strong].mean() > 0:
+        return False
+    excess = float(residual[strong].mean() - residual[flat].mean())
+    return excess > MOVED * float(gradient[strong].mean())
+
+
+def _mosaic_loader(group: Group, config: CaptureConfig, colour: str) -> Callable[[], DecodedView]:
+    def load() -> DecodedView:
+        from pipeline.capture.mosaic import demosaic
+
+        path = group.paths[0]
+        image = read_mosaic(group, config)
+        samples = image.pixels[..., 0]
+        block = 4 if colour == "bayer" else 2
+        if samples.shape[0] % block or samples.shape[1] % block:
+            raise UserError(
+                path,
+                f"{samples.shape[1]}x{samples.shape[0]} are no whole {block}x{block} polariser blocks",
+                "crop to whole blocks, or is it no mosaic?",
+            )
+        told = config.polarisers.get(group_camera(group))
+        extinction = told.extinction if told else None
+        stokes = demosaic(samples, config.mosaic.order, colour, config.mosaic.bayer, config.mosaic.demosaic, extinction)
+        if config.radiometry.white_balance:
+            stokes *= np.asarray(config.radiometry.white_balance, np.float32)
+        stokes = apply_stokes_config(stokes, config.stokes)
+        design = polariser_design(config.mosaic.order, extinction)
+        view = DecodedView(
+            stokes=stokes, saturated=_block_any(image.saturated), design=design, covariance=design_covariance(design)
+        )
+        return finished(view, path, image)
+
+    return load
+
+
+def group_camera(group: Group) -> str:
+    """A mosaic's one physical camera."""
+    return "camera"
+
+
+def read_mosaic(group: Group, config: CaptureConfig) -> LinearImage:
+    """The bare mosaic [H, W, 1] of one view, brackets merged."""
+    path = group.paths[0]
+    if path.suffix.lower() in RAW_SUFFIXES:
+        from pipeline.capture.raw import read_raw_mosaic
+
+        samples, saturated = read_raw_mosaic(path, config.radiometry)
+        return LinearImage(samples[..., None], ("Y",), saturated, 16)
+    return read_exposures(group.angles[None], config.radiometry, sensor_data=True)
+
+
+def _block_any(saturated: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """A saturated sample spoils every pixel that uses it: its neighbours within two pixels."""
+    from scipy.ndimage import binary_dilation
+
+    return binary_dilation(saturated, iterations=2, structure=np.ones((3, 3), bool)) if saturated.any() else saturated
+
+
+def is_mosaic(path: Path, config: CaptureConfig) -> bool:
+    """Whether a single-channel sensor file looks like a 2x2 polariser mosaic rather than a grey picture.
+
+    A grey picture is smooth: samples differ from the mean of their neighbours of the same phase no less than from that
+    of the other phases. A mosaic's phases differ: neighbours two apart agree better than neighbours one apart.
+    """
+    if path.suffix.lower() in FLOAT_SUFFIXES | RAW_SUFFIXES or len(channel_names(path)) != 1:
+        return False
+    image = read_exposures(
+        group_files([path], path.parent, config, stacks=False)[0].angles[None], config.radiometry, sensor_data=True
+    )
+    return phase_contrast(image.pixels[..., 0]) > 1.0
+
+
+def phase_contrast(samples: NDArray[np.float32]) -> float:
+    """Mean difference of samples one apart over that of samples two apart, less what smooth content gives (1/2).
+
+    Above 1: neighbours of another phase are further off than the same phase twice as far away.
+    """
+    lit = samples > np.percentile(samples, 50)
+    one = (np.abs(samples[:, 1:-1] - samples[:, :-2]) + np.abs(samples[:, 1:-1] - samples[:, 2:])) / 2
+    two = np.abs(samples[:, 2:] - samples[:, :-2])
+    keep = lit[:, 1:-1]
+    if keep.sum() < 16:
+        return 0.0
+    across = float(np.median(one[keep])) / max(float(np.median(two[keep])), 1e-9)
+    one = (np.abs(samples[1:-1] - samples[:-2]) + np.abs(samples[1:-1] - samples[2:])) / 2
+    two = np.abs(samples[2:] - samples[:-2])
+    keep = lit[1:-1]
+    return max(across, float(np.median(one[keep])) / max(float(np.median(two[keep])), 1e-9))
+
+
+def mosaic_colour(path: Path, config: CaptureConfig) -> str:
+    """ "bayer" where the means of the four 2x2 blocks of a 4x4 cell differ steadily, else "mono"."""
+    image = read_mosaic(Group("", group_files([path], path.parent, config, stacks=False)[0].angles), config)
+    samples = image.pixels[..., 0]
+    h, w = samples.shape[0] // 4 * 4, samples.shape[1] // 4 * 4
+    if not h or not w:
+        return "mono"
+    blocks = samples[:h, :w].reshape(h // 2, 2, w // 2, 2).mean((1, 3))
+    return "bayer" if phase_contrast(blocks) > 1.0 else "mono"

@@ -1,0 +1,54 @@
+"""Every public layout, written and read back: the same Stokes vectors, cameras and masks, without a capture.toml."""
+
+import numpy as np
+import pytest
+
+from pipeline.capture import open_capture
+from pipeline.images import read_mask
+
+# RGBE shares one exponent: an error of 0.76 % of the pixel's largest channel, and s1 is a difference of two.
+STOKES_TOLERANCE = {"pandora": 0.02}
+LAYOUTS = ("phygap_mitsuba", "stokes_transforms", "pandora", "smvp3d", "rmvp3d", "angle_stack")
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_a_stokes_layout_comes_back_as_it_was_written(layout, scene, write, tmp_path):
+    getattr(write, layout)(tmp_path, scene)
+    capture = open_capture(tmp_path)
+    assert capture.layout == layout and capture.polarisation == "stokes"
+    assert [v.view for v in capture.views] == scene.names
+    for view in capture.views:
+        expected = scene.stokes[view.view]
+        np.testing.assert_allclose(view.read().stokes, expected, atol=STOKES_TOLERANCE.get(layout, 2e-6))
+        camera, truth = capture.cameras[view.view], scene.cameras[view.view]
+        np.testing.assert_allclose(camera.world_to_camera, truth.world_to_camera, atol=1e-6)
+        np.testing.assert_allclose(camera.intrinsics, truth.intrinsics, rtol=1e-6)
+        assert (camera.width, camera.height) == (truth.width, truth.height)
+        np.testing.assert_array_equal(read_mask(capture.masks[view.view]), scene.masks[view.view])
+
+
+def test_colour_behind_polarisers_keeps_its_cameras_apart(scene, write, tmp_path):
+    write.polarisers_transforms(tmp_path, scene)
+    (tmp_path / "capture.toml").write_text("[polarisers.A]\nangle_deg = 20\n[polarisers.B]\nangle_deg = 97\ntrusted = false\n")
+    capture = open_capture(tmp_path)
+    assert capture.polarisation == "polarisers" and capture.camera_names == ("A", "B")
+    assert [v.view for v in capture.views] == ["A_0000", "A_0002", "B_0001"]
+    assert capture.polarisers["A"].trusted and not capture.polarisers["B"].trusted
+    np.testing.assert_allclose(capture.view("B_0001").read().rgb, scene.intensity("0001", 100.0), atol=1e-6)
+
+
+def test_two_colmap_folders_are_two_polarisers_in_one_world(scene, write, tmp_path):
+    write.two_camera(tmp_path, scene)
+    capture = open_capture(tmp_path)
+    assert capture.layout == "phygap_two_camera" and capture.camera_names == ("lp0", "lp1")
+    assert len(capture.views) == 6 and len(capture.masks) == 6
+    np.testing.assert_allclose(capture.view("lp1_0002").read().rgb, scene.intensity("0002", 100.0), atol=1e-6)
+    pose = capture.cameras["lp1_0002"]
+    np.testing.assert_allclose(pose.world_to_camera, scene.cameras["0002"].world_to_camera, atol=1e-9)
+    assert pose.name == "lp1"
+
+
+def test_an_unknown_folder_is_told_what_was_looked_for_and_found(tmp_path):
+    (tmp_path / "notes.txt").write_text("nothing here")
+    with pytest.raises(Exception, match=r"notes\.txt.*phygap_mitsuba.*transforms\.json"):
+        open_capture(tmp_path)
