@@ -8,6 +8,7 @@ A filter's row at a texel g t is its row at t with the sources moved by g. So on
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from functools import lru_cache
 from itertools import permutations, product
@@ -130,12 +131,10 @@ class SymmetricMap:
         key = (x.device, x.dtype)
         if key not in self._torch:
             m = self._matrix
-            weights = torch.sparse_csr_tensor(
-                torch.as_tensor(m.indptr.astype(np.int64)),
-                torch.as_tensor(m.indices.astype(np.int64)),
-                torch.as_tensor(m.data),
-                size=m.shape,
-            )
+            arrays = (m.indptr.astype(np.int64), m.indices.astype(np.int64), m.data)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", UserWarning)  # torch calls CSR beta; the arrays are scipy's, valid
+                weights = torch.sparse_csr_tensor(*(torch.as_tensor(a) for a in arrays), size=m.shape)
             indices = (torch.as_tensor(self._images).long(), self._texel, self._position, self._corner, self._meeting)
             self._torch[key] = (weights.to(x.device, x.dtype), *(i.to(x.device) for i in indices))
         weights, images, texel, position, corner, meeting = self._torch[key]
