@@ -9,7 +9,7 @@ Radiance is `rho g E`. With the half vector h in the frame (t, b, n) of the surf
     PRINTED_COSINE  the printed lobe times n·i
 
 Derivatives are with respect to (d1, d2) = tilt of n along t and b, (A, B, C) and rho. G1 is the rational fit of
-Walter et al. 2007, Eq. 27, as renderers use it.
+Walter et al. 2007, Eq. 27, as renderers use it. The loops only read and sum: that is what lets them vectorise.
 """
 
 from __future__ import annotations
@@ -32,48 +32,47 @@ G_A, G_B, G_C, G_D = (np.float32(v) for v in (3.535, 2.181, 2.276, 2.577))
 G_ONE = np.float32(1 / 1.6)  # below this alpha tan(theta) nothing is masked
 
 
-@njit(cache=True, fastmath=FAST)
-def _ward(hx, hy, hn, inn, ea, eb, c, rho, factor, ox, oy, cosine, root, j0, j1, j2, j3, j4, j5, ix, iy):
-    """Ward's lobe (cosine and root 0), or the printed one: root 1/2 takes sqrt((n·o)/(n·i)), cosine 1 multiplies n·i."""
-    for k in range(hx.size):
-        x, y, z = hx[k], hy[k], hn[k]
-        u0, u1 = ea * x + c * y, eb * y
-        q = u0 * u0 + u1 * u1
-        i = TWO / (ONE + z)
-        i2 = TWO * i
-        g = factor * exp(-q * i)
-        j2[k] = ONE - i2 * ea * u0 * x
-        j3[k] = ONE - i2 * u1 * u1
-        j4[k] = -i2 * u0 * y
-        j0[k] = i2 * z * ea * u0 + HALF * q * i * i * x - ox
-        j1[k] = i2 * z * (c * u0 + eb * u1) + HALF * q * i * i * y - oy
-        j5[k] = g
-    if root != 0:
-        power = cosine - root
-        for k in range(hx.size):
-            n = max(inn[k], LIGHT_FLOOR)
-            j5[k] *= n**power
-            j0[k] += power * ix[k] / n
-            j1[k] += power * iy[k] / n
-    for k in range(hx.size):
-        p = rho * j5[k]
-        j0[k] *= p
-        j1[k] *= p
-        j2[k] *= p
-        j3[k] *= p
-        j4[k] *= p
+@njit(cache=True, fastmath=FAST, error_model="numpy", inline="always")
+def _ward(x, y, z, ix, iy, iz, ea, eb, c):
+    """Lobe without its factor, and the derivatives of its logarithm by d1, d2, A, B, C."""
+    u0, u1 = ea * x + c * y, eb * y
+    q = u0 * u0 + u1 * u1
+    i = TWO / (ONE + z)
+    i2 = TWO * i
+    bend = HALF * q * i * i
+    return (
+        exp(-q * i),
+        i2 * z * ea * u0 + bend * x,
+        i2 * z * (c * u0 + eb * u1) + bend * y,
+        ONE - i2 * ea * u0 * x,
+        ONE - i2 * u1 * u1,
+        -i2 * u0 * y,
+    )
 
 
-@njit(cache=True, fastmath=FAST, inline="always")
-def _smith(x, y, z, ea, eb, c):
+@njit(cache=True, fastmath=FAST, error_model="numpy", inline="always")
+def _printed(x, y, z, ix, iy, iz, ea, eb, c):
+    g, l0, l1, l2, l3, l4 = _ward(x, y, z, ix, iy, iz, ea, eb, c)
+    n = max(iz, LIGHT_FLOOR)
+    return g / math.sqrt(n), l0 - HALF * ix / n, l1 - HALF * iy / n, l2, l3, l4
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy", inline="always")
+def _printed_cosine(x, y, z, ix, iy, iz, ea, eb, c):
+    g, l0, l1, l2, l3, l4 = _ward(x, y, z, ix, iy, iz, ea, eb, c)
+    n = max(iz, LIGHT_FLOOR)
+    return g * math.sqrt(n), l0 + HALF * ix / n, l1 + HALF * iy / n, l2, l3, l4
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy", inline="always")
+def smith(x, y, z, ea, eb, c):
     """G1 of a direction (x, y, z) in the frame, and d log G1 by d1, d2, A, B, C."""
     fa, fb = ONE / ea, ONE / eb
     z = max(z, LIGHT_FLOOR)
     v0 = x * fa
     v1 = (y - c * v0) * fb
     square = v0 * v0 + v1 * v1 + TINY
-    root = math.sqrt(square)
-    s = root / z
+    s = math.sqrt(square) / z
     top, bottom = G_A * s + G_B, s * s + G_C * s + G_D
     below = s < G_ONE
     g = ONE if below else top / bottom
@@ -90,52 +89,123 @@ def _smith(x, y, z, ea, eb, c):
     )
 
 
-@njit(cache=True, fastmath=FAST)
-def _beckmann(hx, hy, hn, ea, eb, c, rho, factor, ox, oy, ix, iy, inn, view, j0, j1, j2, j3, j4, j5):
-    g0, v0, v1, v2, v3, v4 = view
-    for k in range(hx.size):
-        x, y, z = hx[k], hy[k], hn[k]
-        u0, u1 = ea * x + c * y, eb * y
-        q = u0 * u0 + u1 * u1
-        f = ONE / z
-        i = f * f
-        i2 = TWO * i
-        g, s0, s1, s2, s3, s4 = _smith(ix[k], iy[k], inn[k], ea, eb, c)
-        g *= factor * g0 * i * i * exp(-q * i)
-        p = rho * g
-        along = (i2 * q - FOUR) * f
-        j0[k] = p * (i2 * z * ea * u0 + along * x - ox + s0 + v0)
-        j1[k] = p * (i2 * z * (c * u0 + eb * u1) + along * y - oy + s1 + v1)
-        j2[k] = p * (ONE - i2 * ea * u0 * x + s2 + v2)
-        j3[k] = p * (ONE - i2 * u1 * u1 + s3 + v3)
-        j4[k] = p * (-i2 * u0 * y + s4 + v4)
-        j5[k] = g
+@njit(cache=True, fastmath=FAST, error_model="numpy", inline="always")
+def _beckmann(x, y, z, ix, iy, iz, ea, eb, c):
+    u0, u1 = ea * x + c * y, eb * y
+    q = u0 * u0 + u1 * u1
+    f = ONE / z
+    i = f * f
+    i2 = TWO * i
+    g, s0, s1, s2, s3, s4 = smith(ix, iy, iz, ea, eb, c)
+    along = (i2 * q - FOUR) * f
+    return (
+        g * i * i * exp(-q * i),
+        i2 * z * ea * u0 + along * x + s0,
+        i2 * z * (c * u0 + eb * u1) + along * y + s1,
+        ONE - i2 * ea * u0 * x + s2,
+        ONE - i2 * u1 * u1 + s3,
+        -i2 * u0 * y + s4,
+    )
 
 
-@njit(cache=True, fastmath=FAST)
-def _rotate(vx, vy, vz, frame, out_t, out_b, out_n):
-    kind = vx.dtype.type
-    tx, ty, tz = kind(frame[0, 0]), kind(frame[0, 1]), kind(frame[0, 2])
-    bx, by, bz = kind(frame[1, 0]), kind(frame[1, 1]), kind(frame[1, 2])
-    nx, ny, nz = kind(frame[2, 0]), kind(frame[2, 1]), kind(frame[2, 2])
-    for k in range(vx.size):
-        x, y, z = vx[k], vy[k], vz[k]
-        out_t[k] = tx * x + ty * y + tz * z
-        out_b[k] = bx * x + by * y + bz * z
-        out_n[k] = nx * x + ny * y + nz * z
+def _over_lights(point):
+    """The loops over lights for a lobe's `point` function: its values, the sums of its normal equations, its Jacobian."""
+
+    @njit(cache=True, fastmath=FAST, error_model="numpy")
+    def values(h0, h1, h2, i0, i1, i2, f, ea, eb, c, factor, out):
+        for k in range(h0.size):
+            x = f[0] * h0[k] + f[1] * h1[k] + f[2] * h2[k]
+            y = f[3] * h0[k] + f[4] * h1[k] + f[5] * h2[k]
+            z = f[6] * h0[k] + f[7] * h1[k] + f[8] * h2[k]
+            ix = f[0] * i0[k] + f[1] * i1[k] + f[2] * i2[k]
+            iy = f[3] * i0[k] + f[4] * i1[k] + f[5] * i2[k]
+            iz = f[6] * i0[k] + f[7] * i1[k] + f[8] * i2[k]
+            out[k] = factor * point(x, y, z, ix, iy, iz, ea, eb, c)[0]
+
+    @njit(cache=True, fastmath=FAST, error_model="numpy")
+    def sums(h0, h1, h2, i0, i1, i2, light, floor, weight, f, ea, eb, c, factor, rho, v0, v1, v2, v3, v4, matrix, gradient):
+        s00 = s01 = s02 = s03 = s04 = s05 = s11 = s12 = s13 = s14 = s15 = ZERO * ea
+        s22 = s23 = s24 = s25 = s33 = s34 = s35 = s44 = s45 = s55 = ZERO * ea
+        b0 = b1 = b2 = b3 = b4 = b5 = cost = ZERO * ea
+        for k in range(light.size):
+            x = f[0] * h0[k] + f[1] * h1[k] + f[2] * h2[k]
+            y = f[3] * h0[k] + f[4] * h1[k] + f[5] * h2[k]
+            z = f[6] * h0[k] + f[7] * h1[k] + f[8] * h2[k]
+            ix = f[0] * i0[k] + f[1] * i1[k] + f[2] * i2[k]
+            iy = f[3] * i0[k] + f[4] * i1[k] + f[5] * i2[k]
+            iz = f[6] * i0[k] + f[7] * i1[k] + f[8] * i2[k]
+            g, l0, l1, l2, l3, l4 = point(x, y, z, ix, iy, iz, ea, eb, c)
+            j5 = factor * g
+            p = rho * j5
+            r = p - light[k]
+            r = r if floor[k] == ZERO else min(r, ZERO)
+            w = weight[k]
+            w = w if floor[k] == ZERO else (w if r < ZERO else ZERO)
+            v = w * r
+            cost += v * r
+            j0, j1, j2, j3, j4 = p * (l0 + v0), p * (l1 + v1), p * (l2 + v2), p * (l3 + v3), p * (l4 + v4)
+            b0 += v * j0
+            b1 += v * j1
+            b2 += v * j2
+            b3 += v * j3
+            b4 += v * j4
+            b5 += v * j5
+            w0, w1, w2, w3, w4, w5 = w * j0, w * j1, w * j2, w * j3, w * j4, w * j5
+            s00 += w0 * j0
+            s01 += w0 * j1
+            s02 += w0 * j2
+            s03 += w0 * j3
+            s04 += w0 * j4
+            s05 += w0 * j5
+            s11 += w1 * j1
+            s12 += w1 * j2
+            s13 += w1 * j3
+            s14 += w1 * j4
+            s15 += w1 * j5
+            s22 += w2 * j2
+            s23 += w2 * j3
+            s24 += w2 * j4
+            s25 += w2 * j5
+            s33 += w3 * j3
+            s34 += w3 * j4
+            s35 += w3 * j5
+            s44 += w4 * j4
+            s45 += w4 * j5
+            s55 += w5 * j5
+        m, b = matrix, gradient
+        b[0], b[1], b[2], b[3], b[4], b[5] = b0, b1, b2, b3, b4, b5
+        m[0, 0], m[0, 1], m[0, 2], m[0, 3], m[0, 4], m[0, 5] = s00, s01, s02, s03, s04, s05
+        m[1, 1], m[1, 2], m[1, 3], m[1, 4], m[1, 5] = s11, s12, s13, s14, s15
+        m[2, 2], m[2, 3], m[2, 4], m[2, 5] = s22, s23, s24, s25
+        m[3, 3], m[3, 4], m[3, 5], m[4, 4], m[4, 5], m[5, 5] = s33, s34, s35, s44, s45, s55
+        return cost
+
+    @njit(cache=True, fastmath=FAST, error_model="numpy")
+    def rows(h0, h1, h2, i0, i1, i2, f, ea, eb, c, factor, v0, v1, v2, v3, v4, out):
+        for k in range(h0.size):
+            x = f[0] * h0[k] + f[1] * h1[k] + f[2] * h2[k]
+            y = f[3] * h0[k] + f[4] * h1[k] + f[5] * h2[k]
+            z = f[6] * h0[k] + f[7] * h1[k] + f[8] * h2[k]
+            ix = f[0] * i0[k] + f[1] * i1[k] + f[2] * i2[k]
+            iy = f[3] * i0[k] + f[4] * i1[k] + f[5] * i2[k]
+            iz = f[6] * i0[k] + f[7] * i1[k] + f[8] * i2[k]
+            g, l0, l1, l2, l3, l4 = point(x, y, z, ix, iy, iz, ea, eb, c)
+            g *= factor
+            out[0, k], out[1, k], out[2, k] = g * (l0 + v0), g * (l1 + v1), g * (l2 + v2)
+            out[3, k], out[4, k], out[5, k] = g * (l3 + v3), g * (l4 + v4), g
+
+    return values, sums, rows
 
 
-@njit(cache=True)
-def evaluate(lobe, frame, shape, rho, o, h, i, local, jacobian):
-    """Fill `jacobian` [6, N] at the parameters: rows d(rho g) by d1, d2, A, B, C, and g itself (= by rho).
+_ward_values, _ward_sums, _ward_rows = _over_lights(_ward)
+_beckmann_values, _beckmann_sums, _beckmann_rows = _over_lights(_beckmann)
+_printed_values, _printed_sums, _printed_rows = _over_lights(_printed)
+_cosine_values, _cosine_sums, _cosine_rows = _over_lights(_printed_cosine)
 
-    frame float64 [3, 3]: rows t, b, n; shape float64 [3]: A, B, C; o [3]: to the camera; h, i [3, N]: half vectors and
-    directions to the lights, world; local [6, N]: workspace.
-    """
-    kind = h.dtype.type
-    _rotate(h[0], h[1], h[2], frame, local[0], local[1], local[2])
-    if lobe != WARD:
-        _rotate(i[0], i[1], i[2], frame, local[3], local[4], local[5])
+
+@njit(cache=True, error_model="numpy")
+def _common(lobe, frame, shape, o, kind):
+    """What all lights of a pixel share: the frame as 9 numbers, (e^A, e^B, C), the factor, and the view's derivatives."""
     ot = frame[0, 0] * o[0] + frame[0, 1] * o[1] + frame[0, 2] * o[2]
     ob = frame[1, 0] * o[0] + frame[1, 1] * o[1] + frame[1, 2] * o[2]
     on = frame[2, 0] * o[0] + frame[2, 1] * o[1] + frame[2, 2] * o[2]
@@ -143,60 +213,77 @@ def evaluate(lobe, frame, shape, rho, o, h, i, local, jacobian):
     free = 1.0 if on > VIEW_FLOOR else 0.0
     a, b, c = math.exp(shape[0]), math.exp(shape[1]), shape[2]
     factor = a * b * INVERSE_4PI / held
-    slant_t, slant_b = free * ot / held, free * ob / held
-    root = cosine = 0.0
+    v0, v1, v2, v3, v4 = -free * ot / held, -free * ob / held, 0.0, 0.0, 0.0
     if lobe >= PRINTED:
         factor *= math.sqrt(held)
-        slant_t, slant_b = 0.5 * slant_t, 0.5 * slant_b
-        root = 0.5
-        cosine = 1.0 if lobe == PRINTED_COSINE else 0.0
-    j = jacobian
-    ea, eb, ec, p, f, ox, oy = kind(a), kind(b), kind(c), kind(rho), kind(factor), kind(slant_t), kind(slant_b)
-    if lobe == BECKMANN:
-        view = _smith(kind(ot), kind(ob), kind(held), ea, eb, ec)
-        _beckmann(local[0], local[1], local[2], ea, eb, ec, p, f, ox, oy, local[3], local[4], local[5], view,
-                  j[0], j[1], j[2], j[3], j[4], j[5])  # fmt: skip
-    else:
-        _ward(local[0], local[1], local[2], local[5], ea, eb, ec, p, f, ox, oy, kind(cosine), kind(root),
-              j[0], j[1], j[2], j[3], j[4], j[5], local[3], local[4])  # fmt: skip
+        v0, v1 = 0.5 * v0, 0.5 * v1
+    elif lobe == BECKMANN:
+        g, s0, s1, v2, v3, v4 = smith(ot, ob, held, a, b, c)
+        factor *= g
+        v0, v1 = v0 + s0, v1 + s1
+    f = (kind(frame[0, 0]), kind(frame[0, 1]), kind(frame[0, 2]), kind(frame[1, 0]), kind(frame[1, 1]), kind(frame[1, 2]),
+         kind(frame[2, 0]), kind(frame[2, 1]), kind(frame[2, 2]))  # fmt: skip
+    return f, kind(a), kind(b), kind(c), kind(factor), (kind(v0), kind(v1), kind(v2), kind(v3), kind(v4))
 
 
-@njit(cache=True, fastmath=FAST)
-def _products(u, v0, v1, v2, v3, v4, v5, weight, out):
-    """Weighted inner products of u with six rows."""
-    a = b = c = d = e = f = ZERO * u[0]
-    for k in range(u.size):
-        w = weight[k] * u[k]
-        a += w * v0[k]
-        b += w * v1[k]
-        c += w * v2[k]
-        d += w * v3[k]
-        e += w * v4[k]
-        f += w * v5[k]
-    out[0], out[1], out[2], out[3], out[4], out[5] = a, b, c, d, e, f
+@njit(cache=True, error_model="numpy")
+def values(lobe, frame, shape, o, h, i, out):
+    """Fill `out` [N] with g.
 
-
-@njit(cache=True, fastmath=FAST)
-def _residual(g, rho, light, floor, weight, out):
-    """out = rho g - light (for a floor sample, clipped when recorded: only where the lobe falls short). Weighted square sum."""
-    cost = ZERO * rho
-    for k in range(g.size):
-        r = rho * g[k] - light[k]
-        r = r if floor[k] == ZERO else min(r, ZERO)
-        out[k] = r
-        cost += weight[k] * r * r
-    return cost
-
-
-@njit(cache=True)
-def normal_equations(jacobian, rho, light, floor, weight, residual, matrix, gradient):
-    """Gauss-Newton matrix float64 [6, 6] and gradient [6] of half the weighted square residual; returns its cost.
-
-    Samples with `floor` 1 are lower bounds (clipped): they count only where the lobe stays below them.
+    frame float64 [3, 3]: rows t, b, n; shape float64 [3]: A, B, C; o [3]: to the camera; h, i: half vectors and directions to
+    the lights, world, each as three arrays [N] (contiguous: that is what lets the loops vectorise).
     """
-    cost = _residual(jacobian[5], residual.dtype.type(rho), light, floor, weight, residual)
-    j = jacobian
-    _products(residual, j[0], j[1], j[2], j[3], j[4], j[5], weight, gradient)
-    for k in range(6):
-        _products(j[k], j[0], j[1], j[2], j[3], j[4], j[5], weight, matrix[k])
-    return cost
+    f, a, b, c, factor, _ = _common(lobe, frame, shape, o, h[0].dtype.type)
+    if lobe == WARD:
+        _ward_values(h[0], h[1], h[2], i[0], i[1], i[2], f, a, b, c, factor, out)
+    elif lobe == BECKMANN:
+        _beckmann_values(h[0], h[1], h[2], i[0], i[1], i[2], f, a, b, c, factor, out)
+    elif lobe == PRINTED:
+        _printed_values(h[0], h[1], h[2], i[0], i[1], i[2], f, a, b, c, factor, out)
+    else:
+        _cosine_values(h[0], h[1], h[2], i[0], i[1], i[2], f, a, b, c, factor, out)
+
+
+@njit(cache=True, error_model="numpy")
+def normal_equations(lobe, frame, shape, rho, o, h, i, light, floor, weight, matrix, gradient):
+    """Gauss-Newton matrix float64 [6, 6] and gradient [6] of half the weighted square residual of `rho g`; returns its cost.
+
+    Samples with `floor` 1 are lower bounds (clipped): they count only where the lobe stays below them. See `values`.
+    """
+    kind = h[0].dtype.type
+    f, a, b, c, factor, (v0, v1, v2, v3, v4) = _common(lobe, frame, shape, o, kind)
+    m, g, p = matrix, gradient, kind(rho)
+    if lobe == WARD:
+        cost = _ward_sums(
+            h[0], h[1], h[2], i[0], i[1], i[2], light, floor, weight, f, a, b, c, factor, p, v0, v1, v2, v3, v4, m, g
+        )
+    elif lobe == BECKMANN:
+        cost = _beckmann_sums(
+            h[0], h[1], h[2], i[0], i[1], i[2], light, floor, weight, f, a, b, c, factor, p, v0, v1, v2, v3, v4, m, g
+        )
+    elif lobe == PRINTED:
+        cost = _printed_sums(
+            h[0], h[1], h[2], i[0], i[1], i[2], light, floor, weight, f, a, b, c, factor, p, v0, v1, v2, v3, v4, m, g
+        )
+    else:
+        cost = _cosine_sums(
+            h[0], h[1], h[2], i[0], i[1], i[2], light, floor, weight, f, a, b, c, factor, p, v0, v1, v2, v3, v4, m, g
+        )
+    for row in range(6):
+        for column in range(row):
+            m[row, column] = m[column, row]
+    return float(cost)
+
+
+@njit(cache=True, error_model="numpy")
+def jacobian(lobe, frame, shape, o, h, i, out):
+    """Fill `out` [6, N] with the derivatives of g by d1, d2, A, B, C, and g itself in the last row. See `values`."""
+    f, a, b, c, factor, (v0, v1, v2, v3, v4) = _common(lobe, frame, shape, o, h[0].dtype.type)
+    if lobe == WARD:
+        _ward_rows(h[0], h[1], h[2], i[0], i[1], i[2], f, a, b, c, factor, v0, v1, v2, v3, v4, out)
+    elif lobe == BECKMANN:
+        _beckmann_rows(h[0], h[1], h[2], i[0], i[1], i[2], f, a, b, c, factor, v0, v1, v2, v3, v4, out)
+    elif lobe == PRINTED:
+        _printed_rows(h[0], h[1], h[2], i[0], i[1], i[2], f, a, b, c, factor, v0, v1, v2, v3, v4, out)
+    else:
+        _cosine_rows(h[0], h[1], h[2], i[0], i[1], i[2], f, a, b, c, factor, v0, v1, v2, v3, v4, out)

@@ -12,6 +12,10 @@ import numpy as np
 from numba import njit, types
 from numba.extending import overload
 
+from pipeline.lights.kernel_cache import keep_fresh
+
+keep_fresh()
+
 FAST = {"reassoc", "contract", "arcp", "nsz", "afn"}
 """Reassociated sums (SIMD) and reciprocals, but NaN and Inf keep their meaning."""
 
@@ -47,7 +51,7 @@ def _exp(x):
     return lambda x: math.exp(x)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def kth_largest(values, count, k, work):
     """The k-th largest (from 0) of the first `count` values, by quickselect in `work`."""
     for i in range(count):
@@ -74,7 +78,7 @@ def kth_largest(values, count, k, work):
     return work[k]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def solve3(a, b, c, d, e, f, x, y, z):
     """Solve [[a b c] [b d e] [c e f]] s = (x, y, z) in float64. Returns s and whether the matrix is well away from singular."""
     c00, c01, c02 = d * f - e * e, c * e - b * f, b * e - c * d
@@ -87,7 +91,7 @@ def solve3(a, b, c, d, e, f, x, y, z):
     return (c00 * x + c01 * y + c02 * z) * r, (c01 * x + c11 * y + c12 * z) * r, (c02 * x + c12 * y + c22 * z) * r, True
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def cholesky_solve(matrix, rhs, n, out):
     """Solve the n x n positive definite system in place (lower factor left in `matrix`). False where it is not definite."""
     for j in range(n):

@@ -8,15 +8,15 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from pipeline.lights.lobes import evaluate
+from pipeline.lights.lobes import values
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _inverse_width(sigma, spread):
     return -math.log(math.sqrt(sigma * sigma + spread * spread))
 
 
-@njit(cache=True, parallel=True, nogil=True)
+@njit(cache=True, error_model="numpy", parallel=True, nogil=True)
 def _render(lobe, view, normal_d, normal_s, tangent, sigma, albedo_s, directions, light, spread, out):
     count = directions.shape[0]
     for p in prange(view.shape[0]):
@@ -53,10 +53,12 @@ def _render(lobe, view, normal_d, normal_s, tangent, sigma, albedo_s, directions
         frame[1, 1] = m[2] * t[0] - m[0] * t[2]
         frame[1, 2] = m[0] * t[1] - m[1] * t[0]
         shape[0], shape[1] = _inverse_width(sigma[p, 0], spread), _inverse_width(sigma[p, 1], spread)
-        local, jacobian = np.empty((6, used)), np.empty((6, used))
-        evaluate(lobe, frame, shape, 1.0, o, half[:, :used], incident[:, :used], local, jacobian)
+        lobes = np.empty(used)
+        h = (half[0, :used], half[1, :used], half[2, :used])
+        i = (incident[0, :used], incident[1, :used], incident[2, :used])
+        values(lobe, frame, shape, o, h, i, lobes)
         for j in range(used):
-            g = albedo_s[p] * jacobian[5, j]
+            g = albedo_s[p] * lobes[j]
             for c in range(3):
                 out[p, 1, c] += g * light[index[j], c]
 

@@ -21,7 +21,7 @@ GRAZING = np.float32(0.02)  # cosine below which a light says nothing about the 
 MAD = 1.4826  # standard deviation of a normal distribution over its median absolute deviation
 
 
-@njit(cache=True, fastmath=FAST)
+@njit(cache=True, fastmath=FAST, error_model="numpy")
 def _normal_equations(light, wx, wy, wz, weight):
     a = b = c = d = e = f = x = y = z = ZERO * light[0]
     for k in range(light.size):
@@ -39,7 +39,7 @@ def _normal_equations(light, wx, wy, wz, weight):
     return a, b, c, d, e, f, x, y, z
 
 
-@njit(cache=True, fastmath=FAST)
+@njit(cache=True, fastmath=FAST, error_model="numpy")
 def _threshold(light, ok, level, weight):
     n = ZERO * light[0]
     for k in range(light.size):
@@ -48,7 +48,7 @@ def _threshold(light, ok, level, weight):
     return n
 
 
-@njit(cache=True, fastmath=FAST)
+@njit(cache=True, fastmath=FAST, error_model="numpy")
 def _reweight(light, ok, wx, wy, wz, bx, by, bz, grazing, inverse, weight):
     """Geman-McClure weights of lights that are not shadowed; returns the weighted square residual and the weights' sum."""
     ss = sw = ZERO * light[0]
@@ -65,7 +65,7 @@ def _reweight(light, ok, wx, wy, wz, bx, by, bz, grazing, inverse, weight):
     return ss, sw
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _residual_scale(light, ok, wx, wy, wz, bx, by, bz, grazing, work, scratch):
     n = 0
     for k in range(light.size):
@@ -76,7 +76,7 @@ def _residual_scale(light, ok, wx, wy, wz, bx, by, bz, grazing, work, scratch):
     return MAD * kth_largest(work, n, n // 2, scratch) if n > 0 else 0.0
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def fit_normal(light, ok, wx, wy, wz, rounds, weight, work, scratch):
     """Scaled diffuse normal `m` = (albedo x normal) of one pixel.
 

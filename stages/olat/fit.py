@@ -31,7 +31,7 @@ def _value(sample, table):
     return lambda sample, table: sample
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _near(point, positions, intensity, w, energy):
     """Directions [3, N] and relative irradiance [N] at `point` from lights at `positions` [N, 3] (inverse square)."""
     for k in range(positions.shape[0]):
@@ -43,7 +43,7 @@ def _near(point, positions, intensity, w, energy):
         energy[k] = intensity[k] * centre / square
 
 
-@njit(cache=True, parallel=True, nogil=True)
+@njit(cache=True, error_model="numpy", parallel=True, nogil=True)
 def fit_pixels(cross, parallel, table, view, points, directions, positions, area, intensity, settings, out, norms):
     """Fit pixels in parallel.
 

@@ -8,27 +8,17 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from stages.olat.diffuse import fit_normal
-from pipeline.lights.lobes import evaluate
+from pipeline.lights.lobes import values
 from pipeline.lights.numerics import FAST, HALF, ONE, ZERO
-from stages.olat.specular import (
-    LOBE_FRACTION,
-    SIGMA_MAX,
-    frame_about,
-    half_vectors,
-    optimise,
-    reweight,
-    start_normal,
-    start_shape,
-    widths,
-)
+from stages.olat.diffuse import fit_normal
+from stages.olat.lobe_fit import ROUND, fit_lobe, linear_albedo, round_start
+from stages.olat.specular import LOBE_FRACTION, SIGMA_MAX, frame_about, half_vectors, start_normal, widths
 
 GOOD, TOO_FEW, SATURATED, BLACK, NO_LOBE, BAD_SAMPLES = range(6)
 BAD_SHARE = 0.1  # of a pixel's samples that may be not finite before the pixel is flagged
 NOISE_FLOOR = 1e-3  # of the brightest sample: half floats are this coarse
+UNKNOWN = 1e6  # variance (rad²) of a normal that was not measured
 EFFECTIVE_LIGHTS = 3.0  # a lobe seen by fewer has no width
-ROUND = 0.03  # anisotropy below which a lobe is fitted as round
-NARROW = 1e-3
 
 MAPS = {
     "diffuse_albedo": ("R", "G", "B"),
@@ -83,6 +73,8 @@ class Settings(NamedTuple):
     saturation: float  # radiance from which a sample is clipped (inf: none is)
     specular_factor: float
     irradiance: float
+    gain: float  # share of the round lobe's robust cost that an anisotropic one must beat
+    prior: float  # strength of the tie of n_s to n_d: inverse square of the angle (rad) they may differ by
 
 
 class Room(NamedTuple):
@@ -98,31 +90,28 @@ class Room(NamedTuple):
     work: np.ndarray
     scratch: np.ndarray
     front: np.ndarray  # [N] indices of the lights before the surface
-    light: np.ndarray
+    light: np.ndarray  # [N] and below: the same lights' samples, packed
     area: np.ndarray
     cosine: np.ndarray
-    robust: np.ndarray
-    residual: np.ndarray
+    seen: np.ndarray
+    bound: np.ndarray
+    lobe: np.ndarray
     incident: np.ndarray  # [3, N]
     half: np.ndarray  # [3, N]
-    local: np.ndarray  # [6, N]
-    jacobian: np.ndarray
-    trial: np.ndarray
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def make_room(n, like):
     """Workspace for `n` lights in the precision of the array `like`."""
-    one = np.zeros((13, n), like.dtype)
+    one = np.zeros((14, n), like.dtype)
     return Room(
         np.zeros((3, n), like.dtype), one[0], one[1], one[2], one[3], one[4], one[5], one[6], one[7],
-        np.zeros(n, np.int64), one[8], one[9], one[10], one[11], one[12],
-        np.zeros((3, n), like.dtype), np.zeros((3, n), like.dtype), np.zeros((6, n), like.dtype),
-        np.zeros((6, n), like.dtype), np.zeros((6, n), like.dtype),
+        np.zeros(n, np.int64), one[8], one[9], one[10], one[11], one[12], one[13],
+        np.zeros((3, n), like.dtype), np.zeros((3, n), like.dtype),
     )  # fmt: skip
 
 
-@njit(cache=True, fastmath=FAST)
+@njit(cache=True, fastmath=FAST, error_model="numpy")
 def separate(cross, parallel, energy, settings, room):
     """I_d = 2 I_x and I_s = f (I_p - I_x) per unit of irradiance; marks samples that are not finite or clipped.
 
@@ -161,7 +150,7 @@ def separate(cross, parallel, energy, settings, room):
     return bad, clipped, top_d, top_s
 
 
-@njit(cache=True, fastmath=FAST)
+@njit(cache=True, fastmath=FAST, error_model="numpy")
 def _albedo(rgb, diffuse, wx, wy, wz, nx, ny, nz, weight, out):
     """PRF Eq. 16: ratio of two dot products over the lights in use; `out` [3] is filled. Returns the residual's square sums."""
     r = g = b = den = ZERO * nx
@@ -178,7 +167,7 @@ def _albedo(rgb, diffuse, wx, wy, wz, nx, ny, nz, weight, out):
         out[0] = out[1] = out[2] = ZERO
 
 
-@njit(cache=True, fastmath=FAST)
+@njit(cache=True, fastmath=FAST, error_model="numpy")
 def _behind(light, ok, wx, wy, wz, nx, ny, nz):
     """Root mean square of the samples whose light is behind the surface: noise and inter-reflection."""
     s = n = ZERO * nx
@@ -190,7 +179,7 @@ def _behind(light, ok, wx, wy, wz, nx, ny, nz):
     return math.sqrt(s / n) if n > ZERO else ZERO
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _diffuse_maps(room, w, area, nx, ny, nz, albedo, zeta, out):
     """Visibility, occlusion (Eq. 5, normalised by the rig's own unoccluded sum), inter-reflection (Eq. 4)."""
     seen = front = lit = whole = 0.0
@@ -225,7 +214,7 @@ def _diffuse_maps(room, w, area, nx, ny, nz, albedo, zeta, out):
     return square, data
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _specular_maps(room, n, g, rho, zeta, all_area, w, nx, ny, nz, out):
     """Share of the lobe's lights and energy that arrives, and what arrives from behind; returns residual sums."""
     seen = expected = lit = whole = 0.0
@@ -239,7 +228,7 @@ def _specular_maps(room, n, g, rho, zeta, all_area, w, nx, ny, nz, out):
         if p > 2 * zeta:
             expected += 1
             seen += 1 if arrives else 0
-        if room.robust[k] > 0 and not (room.floor[room.front[k]] > 0 and p > v):
+        if room.seen[k] > 0 and not (room.bound[k] > 0 and p > v):
             square += (v - p) ** 2
             data += v * v
     out[VISIBILITY_S] = seen / expected if expected > 0 else 0.0
@@ -253,8 +242,8 @@ def _specular_maps(room, n, g, rho, zeta, all_area, w, nx, ny, nz, out):
     return square, data
 
 
-@njit(cache=True)
-def _gather(room, w, o, n_d, solved):
+@njit(cache=True, error_model="numpy")
+def _gather(room, w, area, n_d, solved):
     """Lights before the surface, packed: their directions, half vectors, samples and whether they are seen."""
     n = 0
     for k in range(room.diffuse.size):
@@ -265,13 +254,14 @@ def _gather(room, w, o, n_d, solved):
     for j in range(n):
         k = room.front[j]
         room.light[j] = room.specular[k]
+        room.area[j] = area[k]
         room.incident[0, j], room.incident[1, j], room.incident[2, j] = w[0, k], w[1, k], w[2, k]
-        room.work[j] = room.floor[k]
-        room.weight[j] = room.use[k] if solved else ONE
+        room.bound[j] = room.floor[k]
+        room.seen[j] = room.use[k] if solved else ONE
     return n
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def fit_pixel(cross, parallel, w, o, area, energy, settings, room, out):
     """Fill `out` [WIDTH] for one pixel from its samples cross, parallel [3, N] (N lights at directions w [3, N]).
 
@@ -301,7 +291,7 @@ def fit_pixel(cross, parallel, w, o, area, energy, settings, room, out):
     solved = solved and size > 0
     n_d = (o[0], o[1], o[2])
     square_d = data_d = 0.0
-    variance_d = 1e6
+    variance_d = UNKNOWN
     if solved:
         n_d = (mx / size, my / size, mz / size)
         nx, ny, nz = kind(n_d[0]), kind(n_d[1]), kind(n_d[2])
@@ -320,13 +310,13 @@ def fit_pixel(cross, parallel, w, o, area, energy, settings, room, out):
         out[NORMAL_D + k] = n_d[k]
 
     # specular
-    n = _gather(room, w, o, n_d, solved)
-    norm, passes, variance_s, square_s, data_s = 0.0, 0, 1e6, 0.0, 0.0
+    n = _gather(room, w, area, n_d, solved)
+    norm, passes, variance_s, square_s, data_s = 0.0, 0, UNKNOWN, 0.0, 0.0
     fitted = False
     n_s = n_d
     if n >= 3:
-        fitted, n_s, norm, passes, variance_s, square_s, data_s, lobe_flag = _fit_lobe(
-            n, w, o, area, settings, n_d, solved, variance_d, top_d, room, out
+        fitted, n_s, norm, passes, variance_s, square_s, data_s, lobe_flag = _specular(
+            n, w, o, area, settings, n_d, solved, top_d, room, out
         )
         flag = lobe_flag if flag == GOOD else flag
     elif flag == GOOD:
@@ -352,38 +342,30 @@ def fit_pixel(cross, parallel, w, o, area, energy, settings, room, out):
     return norm, passes
 
 
-@njit(cache=True)
-def _fit_lobe(n, w, o, area, settings, n_d, solved, variance_d, top_d, room, out):
-    """Specular part of a pixel: start, robust joint fit, maps. See `fit_pixel`."""
+@njit(cache=True, error_model="numpy")
+def _specular(n, w, o, area, settings, n_d, solved, top_d, room, out):
+    """Specular part of a pixel: what can be fitted, the fit, its maps. See `fit_pixel`."""
     kind = area.dtype.type
-    light, use, floor = room.light[:n], room.robust[:n], room.scratch[:n]
-    weight, residual = room.cosine[:n], room.residual[:n]
-    half, incident = room.half[:, :n], room.incident[:, :n]
-    areas, cosine = room.area[:n], room.cosine[:n]
-    for j in range(n):
-        areas[j] = area[room.front[j]]
-        use[j] = room.weight[j]
-        floor[j] = room.work[j]
+    light, use, floor, areas = room.light[:n], room.seen[:n], room.bound[:n], room.area[:n]
+    cosine, weight, g = room.cosine[:n], room.work[:n], room.lobe[:n]
+    half = (room.half[0, :n], room.half[1, :n], room.half[2, :n])
+    incident = (room.incident[0, :n], room.incident[1, :n], room.incident[2, :n])
     half_vectors(incident[0], incident[1], incident[2], kind(o[0]), kind(o[1]), kind(o[2]), half[0], half[1], half[2], cosine)
-    top = noise = total = squares = clipped = 0.0
+    top = noise = total = squares = clipped = negative = 0.0
     for j in range(n):
         v = light[j]
-        if use[j] > 0:
-            top = max(top, v)
-            if v > 0:
-                total += v
-                squares += v * v
-                clipped += v if floor[j] > 0 else 0.0
-    negative = 0.0
-    for j in range(n):
-        if light[j] < 0:
-            noise += light[j] * light[j]
+        if v < 0:
+            noise += v * v
             negative += 1
+        elif use[j] > 0:
+            top = max(top, v)
+            total += v
+            squares += v * v
+            clipped += v if floor[j] > 0 else 0.0
     noise = math.sqrt(noise / negative) if negative > 0 else 0.0
-    nothing = (False, n_d, 0.0, 0, 1e6, 0.0, 0.0, NO_LOBE)
+    nothing = (False, n_d, 0.0, 0, UNKNOWN, 0.0, 0.0, NO_LOBE)
     if not (top > 5 * noise and top > 1e-4 * top_d):
         return nothing
-    effective = total * total / squares
     x, y, z, samples = start_normal(light, use, LOBE_FRACTION * top, areas, half, cosine)
     if samples == 0:
         return nothing
@@ -391,65 +373,36 @@ def _fit_lobe(n, w, o, area, settings, n_d, solved, variance_d, top_d, room, out
         x, y, z = n_d
     frame, shape, rho = np.empty((3, 3)), np.empty(3), np.empty(1)
     frame_about(x, y, z, frame)
-    start_shape(light, use, LOBE_FRACTION * top, areas, half, cosine, frame, shape)
-    local, jacobian, trial = room.local[:, :n], room.jacobian[:, :n], room.trial[:, :n]
-    evaluate(settings.lobe, frame, shape, 1.0, o, half, incident, local, jacobian)
-    rho[0] = _linear_albedo(jacobian[5], light, use, floor)
-    flag = GOOD
-    norm, passes, cost = 0.0, 0, 0.0
+    flag, norm, passes = GOOD, 0.0, 0
     if clipped > 0.5 * total:
         flag = SATURATED
-    narrow = effective < EFFECTIVE_LIGHTS
-    if narrow and flag == GOOD:
-        flag = TOO_FEW
-    for j in range(n):
-        weight[j] = use[j]  # the cosines are spent
-    if not narrow:
-        for _ in range(settings.robust):
-            reweight(jacobian[5], kind(rho[0]), light, use, kind(0.02 * top + 3 * noise), kind(0.2), weight)
-            cost, norm, more = optimise(settings.lobe, frame, shape, rho, o, half, incident, light, floor, weight, False, 3,
-                                        settings.tolerance, local, jacobian, trial, residual)  # fmt: skip
-            passes += more
-            evaluate(settings.lobe, frame, shape, rho[0], o, half, incident, local, jacobian)
-        cost, norm, more = optimise(settings.lobe, frame, shape, rho, o, half, incident, light, floor, weight, False,
-                                    settings.steps, settings.tolerance, local, jacobian, trial, residual)  # fmt: skip
-        passes += more
-        large, small, angle = widths(shape)
-        if (large - small) / (large + small) < ROUND:
-            shape[0] = shape[1] = 0.5 * (shape[0] + shape[1])
-            shape[2] = 0.0
-            cost, norm, more = optimise(settings.lobe, frame, shape, rho, o, half, incident, light, floor, weight, True,
-                                        settings.steps, settings.tolerance, local, jacobian, trial, residual)  # fmt: skip
-            passes += more
-    evaluate(settings.lobe, frame, shape, rho[0], o, half, incident, local, jacobian)
-    rho[0] = _linear_albedo(jacobian[5], light, weight, floor)
+    if total * total < EFFECTIVE_LIGHTS * squares:  # too narrow for the rig, or all but hidden: half vectors, moments, no fit
+        flag = TOO_FEW if flag == GOOD else flag
+        round_start(light, use, LOBE_FRACTION * top, areas, half, cosine, frame, shape)
+        if solved and clipped == 0 and samples < EFFECTIVE_LIGHTS:
+            frame_about(n_d[0], n_d[1], n_d[2], frame)
+        values(settings.lobe, frame, shape, o, half, incident, g)
+        for j in range(n):
+            weight[j] = use[j]
+    else:
+        norm, passes = fit_lobe(settings, o, n_d, solved, half, incident, light, floor, use, areas, cosine, weight, g, top,
+                                noise, frame, shape, rho)  # fmt: skip
+    rho[0] = linear_albedo(g, light, weight, floor)
     large, small, angle = widths(shape)
-    if large >= 0.99 * SIGMA_MAX or not rho[0] > 0:
-        flag = NO_LOBE
     if not (math.isfinite(large) and math.isfinite(small) and math.isfinite(rho[0]) and math.isfinite(frame[2, 0])):
         return nothing
+    if large >= 0.99 * SIGMA_MAX or not rho[0] > 0:
+        flag = NO_LOBE
     out[ALBEDO_S] = rho[0]
     out[SIGMA], out[SIGMA + 1] = large, small
     out[ROUGHNESS] = (large * small) ** 0.25
     out[ANISOTROPY] = (large - small) / (large + small)
-    if out[ANISOTROPY] > NARROW:
+    if out[ANISOTROPY] > ROUND:
         for k in range(3):
             out[TANGENT + k] = math.cos(angle) * frame[0, k] + math.sin(angle) * frame[1, k]
     n_s = (frame[2, 0], frame[2, 1], frame[2, 2])
     zeta = 2 * noise + 0.01 * top
-    square, data = _specular_maps(room, n, jacobian[5], rho[0], zeta, area, w, n_s[0], n_s[1], n_s[2], out)
-    in_lobe = max(effective, 1.0)
+    square, data = _specular_maps(room, n, g, rho[0], zeta, area, w, n_s[0], n_s[1], n_s[2], out)
+    in_lobe = max(total * total / squares, 1.0)
     variance = (square / max(data, 1e-30) + 1e-6) * large * small / in_lobe + (1.0 if flag != GOOD else 0.0)
     return True, n_s, norm, passes, variance, square, data, flag
-
-
-@njit(cache=True)
-def _linear_albedo(g, light, weight, floor):
-    """PRF Eq. 17: ratio of two dot products, in float64."""
-    top = bottom = 0.0
-    for k in range(g.size):
-        if floor[k] == 0:
-            gw = float(g[k]) * weight[k]
-            top += gw * light[k]
-            bottom += gw * g[k]
-    return max(top / bottom, 0.0) if bottom > 0 else 0.0

@@ -14,17 +14,19 @@ from pipeline.cameras import Camera, camera_from_frame
 from pipeline.capture.model import LightTable
 from pipeline.errors import UserError
 from pipeline.images import read_mask
+from pipeline.lights.lobes import LOBES
 from pipeline.lights.solid_angles import solid_angles
 from pipeline.stage import StageRun
 from stages.olat.fit import fit
 from stages.olat.frames import bands_of, is_half, read_bands
-from pipeline.lights.lobes import LOBES
 from stages.olat.maps_out import MapWriter
 from stages.olat.pixel import FLAG, Settings
 from stages.olat.preview import write_preview
 from stages.olat.stage import OlatParameters, every
 
 FLAGS = ("good", "too few lights", "saturated", "black", "no lobe", "bad samples")
+PRIOR = (1 / np.radians(0.5)) ** 2  # n_s and n_d of one surface agree to about half a degree
+GAIN = 0.9
 TOLERANCE = {"float32": 3e-6, "float64": 1e-12}
 
 
@@ -70,7 +72,9 @@ def light_rig(index: dict[str, Any], step: int = 1) -> LightTable:
 def settings_of(parameters: OlatParameters, config: Any, saturation: float) -> Settings:
     """Kernel settings from the stage's parameters and the capture's [olat] facts."""
     lobe = LOBES["ward" if parameters.lobe == "auto" else parameters.lobe]
-    return Settings(lobe, 8, 3, 15, TOLERANCE[parameters.precision], saturation, config.specular_factor, config.irradiance)
+    return Settings(
+        lobe, 8, 2, 15, TOLERANCE[parameters.precision], saturation, config.specular_factor, config.irradiance, GAIN, PRIOR
+    )
 
 
 def camera_job(stage: StageRun, name: str, entry: dict[str, Any], step: int) -> CameraJob:

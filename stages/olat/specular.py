@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numba import njit
 
-from pipeline.lights.lobes import evaluate, normal_equations
+from pipeline.lights.lobes import normal_equations
 from pipeline.lights.numerics import FAST, ONE, ZERO, cholesky_solve
 
 LOBE_FRACTION = 0.05  # of the brightest sample: below it noise, not the lobe, would weigh the half vectors
@@ -19,7 +19,7 @@ SIGMA_MIN, SIGMA_MAX = 1e-3, 10.0
 SHAPE_MAX, SHAPE_MIN = -math.log(SIGMA_MIN), -math.log(SIGMA_MAX)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def frame_about(nx, ny, nz, frame):
     """Rows t, b, n of an orthonormal frame about a unit normal (Duff et al. 2017: no singular direction)."""
     sign = math.copysign(1.0, nz)
@@ -30,7 +30,7 @@ def frame_about(nx, ny, nz, frame):
     frame[2, 0], frame[2, 1], frame[2, 2] = nx, ny, nz
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def tilt(frame, d1, d2, out):
     """The frame whose normal is `n + d1 t + d2 b`, t kept as near as it can be."""
     for i in range(3):
@@ -50,7 +50,7 @@ def tilt(frame, d1, d2, out):
     out[1, 2] = out[2, 0] * out[0, 1] - out[2, 1] * out[0, 0]
 
 
-@njit(cache=True, fastmath=FAST)
+@njit(cache=True, fastmath=FAST, error_model="numpy")
 def half_vectors(ix, iy, iz, ox, oy, oz, hx, hy, hz, cosine):
     """Half vectors of the lights and `o`, and their cosine h·o (0 where the light is exactly opposite)."""
     for k in range(ix.size):
@@ -61,7 +61,7 @@ def half_vectors(ix, iy, iz, ox, oy, oz, hx, hy, hz, cosine):
         cosine[k] = (x * ox + y * oy + z * oz) * r
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def start_normal(light, weight, level, area, h, cosine):
     """Weighted half vector `Σ I ΔΩ h / (h·o)` over samples above `level`. Returns its direction and the samples' number."""
     x = y = z = 0.0
@@ -69,23 +69,23 @@ def start_normal(light, weight, level, area, h, cosine):
     for k in range(light.size):
         if light[k] > level and weight[k] > 0 and cosine[k] > 0.05:
             w = light[k] * area[k] / cosine[k]
-            x += w * h[0, k]
-            y += w * h[1, k]
-            z += w * h[2, k]
+            x += w * h[0][k]
+            y += w * h[1][k]
+            z += w * h[2][k]
             count += 1
     size = math.sqrt(x * x + y * y + z * z)
     return (x / size, y / size, z / size, count) if size > 0 else (0.0, 0.0, 0.0, 0)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def start_shape(light, weight, level, area, h, cosine, frame, shape):
     """A, B, C from the second moments of the projected half vectors (variance = sigma² / 2 in each direction)."""
     xx = xy = yy = total = 0.0
     for k in range(light.size):
         if light[k] > level and weight[k] > 0 and cosine[k] > 0.05:
             w = light[k] * area[k] / cosine[k]
-            x = h[0, k] * frame[0, 0] + h[1, k] * frame[0, 1] + h[2, k] * frame[0, 2]
-            y = h[0, k] * frame[1, 0] + h[1, k] * frame[1, 1] + h[2, k] * frame[1, 2]
+            x = h[0][k] * frame[0, 0] + h[1][k] * frame[0, 1] + h[2][k] * frame[0, 2]
+            y = h[0][k] * frame[1, 0] + h[1][k] * frame[1, 1] + h[2][k] * frame[1, 2]
             xx += w * x * x
             xy += w * x * y
             yy += w * y * y
@@ -94,7 +94,7 @@ def start_shape(light, weight, level, area, h, cosine, frame, shape):
     set_shape(xx, xy, yy, shape)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def set_shape(xx, xy, yy, shape):
     """Log-Cholesky of the inverse of the width matrix [[xx xy] [xy yy]] (sigma squared)."""
     det = xx * yy - xy * xy
@@ -105,7 +105,7 @@ def set_shape(xx, xy, yy, shape):
     shape[0], shape[1], shape[2] = math.log(a), 0.5 * math.log(b2), c
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def widths(shape):
     """(sigma of the larger axis, of the smaller, angle of the larger axis from t) of A, B, C."""
     a, b, c = math.exp(shape[0]), math.exp(shape[1]), shape[2]
@@ -118,28 +118,26 @@ def widths(shape):
     return 1.0 / math.sqrt(small), 1.0 / math.sqrt(large), angle
 
 
-@njit(cache=True)
-def optimise(lobe, frame, shape, rho, o, h, i, light, floor, weight, isotropic, steps, tolerance, local, jacobian, trial,
-             residual):  # fmt: skip
+@njit(cache=True, error_model="numpy")
+def optimise(lobe, frame, shape, rho, o, h, i, light, floor, weight, isotropic, prior, n_d, steps, tolerance):
     """Levenberg-Marquardt in place on (frame, shape, rho[0]) until the gradient, in units of the data, is under `tolerance`.
 
-    isotropic: A = B and C = 0. Returns (cost, gradient norm, passes). jacobian, trial [6, n], local [6, n], residual [n]: workspace.
+    light, floor, weight [N]: samples, lower bounds, weights; isotropic: A = B and C = 0; prior: stiffness (in units of the
+    weighted square residual) that holds n to `n_d`. Returns (cost over the data's square norm, gradient norm, passes).
     """
     matrix, gradient = np.empty((6, 6)), np.empty(6)
     matrix2, gradient2 = np.empty((6, 6)), np.empty(6)
     system, step = np.empty((6, 6)), np.empty(6)
     frame2, shape2 = np.empty((3, 3)), np.empty(3)
-    size = 0.0
-    for k in range(light.size):
-        size += weight[k] * light[k] * light[k]
+    size = weighted_square(light, weight)
     if not size > 0:
         return 0.0, 0.0, 0
-    evaluate(lobe, frame, shape, rho[0], o, h, i, local, jacobian)
-    cost = normal_equations(jacobian, rho[0], light, floor, weight, residual, matrix, gradient)
+    cost = normal_equations(lobe, frame, shape, rho[0], o, h, i, light, floor, weight, matrix, gradient)
+    cost += _hold(frame, n_d, prior, matrix, gradient)
     damping, norm, passes = 1e-3, 0.0, 1
+    n = _reduce(matrix, gradient, isotropic)
+    norm = _norm(gradient, n, rho[0], size)
     for _ in range(steps):
-        n = _reduce(matrix, gradient, isotropic)
-        norm = _norm(gradient, n, rho[0], size)
         if norm < tolerance:
             break
         for j in range(n):
@@ -149,25 +147,24 @@ def optimise(lobe, frame, shape, rho, o, h, i, light, floor, weight, isotropic, 
         if not cholesky_solve(system, gradient, n, step):
             damping = max(10 * damping, 1e-3)
             continue
+        if max(abs(step[0]), abs(step[1]), abs(step[2]), abs(step[3])) < 0.1 * tolerance:
+            break  # a step below rounding
         limit = max(abs(step[0]), abs(step[1]), 0.4 * abs(step[2]), 0.4 * abs(step[3]) if not isotropic else 0.0)
         scale = min(1.0, 0.3 / limit) if limit > 0 else 1.0  # at most 17 degrees or a factor of two in width a step
         tilt(frame, -scale * step[0], -scale * step[1], frame2)
-        if isotropic:
-            shape2[0] = shape2[1] = min(max(shape[0] - scale * step[2], SHAPE_MIN), SHAPE_MAX)
-            shape2[2] = 0.0
-            rho2 = max(rho[0] - scale * step[3], 0.0)
-        else:
-            shape2[0] = min(max(shape[0] - scale * step[2], SHAPE_MIN), SHAPE_MAX)
-            shape2[1] = min(max(shape[1] - scale * step[3], SHAPE_MIN), SHAPE_MAX)
-            shape2[2] = shape[2] - scale * step[4]
-            rho2 = max(rho[0] - scale * step[5], 0.0)
-        evaluate(lobe, frame2, shape2, rho2, o, h, i, local, trial)
-        cost2 = normal_equations(trial, rho2, light, floor, weight, residual, matrix2, gradient2)
+        shape2[0] = min(max(shape[0] - scale * step[2], SHAPE_MIN), SHAPE_MAX)
+        shape2[1] = shape2[0] if isotropic else min(max(shape[1] - scale * step[3], SHAPE_MIN), SHAPE_MAX)
+        shape2[2] = 0.0 if isotropic else shape[2] - scale * step[4]
+        rho2 = max(rho[0] - scale * step[n - 1], 0.0)
+        cost2 = normal_equations(lobe, frame2, shape2, rho2, o, h, i, light, floor, weight, matrix2, gradient2)
+        cost2 += _hold(frame2, n_d, prior, matrix2, gradient2)
         passes += 1
         if cost2 < cost * (1 + 1e-6):  # equal within rounding counts: the gradient decides when to stop
             frame[:], shape[:], rho[0], cost = frame2, shape2, rho2, cost2
             matrix[:], gradient[:] = matrix2, gradient2
             damping = damping * 0.1 if damping > 1e-9 else 0.0
+            _reduce(matrix, gradient, isotropic)
+            norm = _norm(gradient, n, rho[0], size)
         else:
             damping = max(8 * damping, 1e-4)
             if damping > 1e6:
@@ -175,7 +172,31 @@ def optimise(lobe, frame, shape, rho, o, h, i, light, floor, weight, isotropic, 
     return cost / size, norm, passes
 
 
-@njit(cache=True)
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def weighted_square(light, weight):
+    """Weighted square norm of the samples."""
+    s = ZERO * light[0]
+    for k in range(light.size):
+        s += weight[k] * light[k] * light[k]
+    return float(s)
+
+
+@njit(cache=True, error_model="numpy")
+def _hold(frame, n_d, prior, matrix, gradient):
+    """Add the prior `prior |n - n_d|²` (chord, exact gradient in the tilt) to the normal equations; returns its cost."""
+    if prior <= 0:
+        return 0.0
+    t = frame[0, 0] * n_d[0] + frame[0, 1] * n_d[1] + frame[0, 2] * n_d[2]
+    b = frame[1, 0] * n_d[0] + frame[1, 1] * n_d[1] + frame[1, 2] * n_d[2]
+    n = frame[2, 0] * n_d[0] + frame[2, 1] * n_d[1] + frame[2, 2] * n_d[2]
+    gradient[0] -= prior * t
+    gradient[1] -= prior * b
+    matrix[0, 0] += prior * max(n, 0.5)
+    matrix[1, 1] += prior * max(n, 0.5)
+    return 2.0 * prior * (1.0 - n)
+
+
+@njit(cache=True, error_model="numpy")
 def _reduce(matrix, gradient, isotropic):
     """Merge A and B, drop C where the lobe is to be round; returns the number of parameters."""
     if not isotropic:
@@ -194,7 +215,7 @@ def _reduce(matrix, gradient, isotropic):
     return 4
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def _norm(gradient, n, rho, size):
     s = 0.0
     for k in range(n):
@@ -203,11 +224,14 @@ def _norm(gradient, n, rho, size):
     return math.sqrt(s) / size
 
 
-@njit(cache=True, fastmath=FAST)
+@njit(cache=True, fastmath=FAST, error_model="numpy")
 def reweight(g, rho, light, use, absolute, relative, weight):
-    """Geman-McClure weights of the residual in units of `absolute + relative x max(model, sample)`."""
+    """Geman-McClure weights of the residual in units of `absolute + relative x max(model, sample)`; returns the robust cost."""
+    cost = ZERO * rho
     for k in range(g.size):
         p = rho * g[k]
         t = (p - light[k]) / (absolute + relative * max(p, light[k]))
         u = ONE / (ONE + t * t)
         weight[k] = use[k] * u * u
+        cost += use[k] * t * t * u
+    return cost
