@@ -130,11 +130,7 @@ class SymmetricMap:
         """The map in torch operations, any device and float type: the definition."""
         key = (x.device, x.dtype)
         if key not in self._torch:
-            m = self._matrix
-            arrays = (m.indptr.astype(np.int64), m.indices.astype(np.int64), m.data)
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", UserWarning)  # torch calls CSR beta; the arrays are scipy's, valid
-                weights = torch.sparse_csr_tensor(*(torch.as_tensor(a) for a in arrays), size=m.shape)
+            weights = torch_csr(self._matrix)
             indices = (torch.as_tensor(self._images).long(), self._texel, self._position, self._corner, self._meeting)
             self._torch[key] = (weights.to(x.device, x.dtype), *(i.to(x.device) for i in indices))
         weights, images, texel, position, corner, meeting = self._torch[key]
@@ -165,6 +161,14 @@ class SymmetricMap:
         x = np.empty((len(self._images), 3), np.float32)
         _gather(spread, self._inverse, x)
         return x
+
+
+def torch_csr(matrix: csr_matrix) -> torch.Tensor:
+    """The same sparse matrix in torch."""
+    arrays = [torch.as_tensor(a) for a in (matrix.indptr.astype(np.int64), matrix.indices.astype(np.int64), matrix.data)]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # torch calls CSR beta; the arrays are scipy's, and valid
+        return torch.sparse_csr_tensor(arrays[0], arrays[1], arrays[2], size=matrix.shape)
 
 
 class _Fused(torch.autograd.Function):
