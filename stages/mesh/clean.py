@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -23,15 +24,6 @@ class Mesh:
         if "positions" not in mesh.vertex or "indices" not in mesh.triangle:
             return cls(np.zeros((0, 3)), np.zeros((0, 3), np.int64))
         return cls(mesh.vertex.positions.numpy().astype(np.float64), mesh.triangle.indices.numpy().astype(np.int64))
-
-    def to_open3d(self) -> Any:
-        """The bare surface as an Open3D tensor mesh."""
-        import open3d as o3d
-
-        out = o3d.t.geometry.TriangleMesh()
-        out.vertex.positions = o3d.core.Tensor(np.ascontiguousarray(self.vertices, np.float32))
-        out.triangle.indices = o3d.core.Tensor(np.ascontiguousarray(self.faces, np.int32))
-        return out
 
     def area(self) -> NDArray[np.float64]:
         """Area of each triangle [F]."""
@@ -132,7 +124,7 @@ def fill_holes(mesh: Mesh, rings: int = 12) -> tuple[Mesh, int]:
         n, steps = len(loop), 1 if len(loop) < 24 else rings
         inner = [centre + (rim - centre) * (1 - k / steps) for k in range(1, steps)]
         ids = [loop] + [count + k * n + np.arange(n) for k in range(steps - 1)]
-        for outer_ring, inner_ring in zip(ids[:-1], ids[1:]):
+        for outer_ring, inner_ring in itertools.pairwise(ids):
             a, b, c, d = outer_ring, np.roll(outer_ring, -1), inner_ring, np.roll(inner_ring, -1)
             faces += [np.stack([a, b, c], -1), np.stack([b, d, c], -1)]
         tip = count + (steps - 1) * n

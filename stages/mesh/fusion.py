@@ -49,8 +49,8 @@ def measure(views: Iterable[DepthView]) -> Extent:
     views = list(views)
     points = np.concatenate([points_of(v) for v in views])
     low, high = np.quantile(points, [0.001, 0.999], axis=0)
-    footprint = np.median([np.median(v.depth[v.depth > 0]) / np.sqrt(v.camera.fx * v.camera.fy) for v in views if v.depth.any()])
-    return Extent(low, high, float(footprint))
+    footprints = [np.median(v.depth[v.depth > 0]) / np.sqrt(v.camera.fx * v.camera.fy) for v in views if v.depth.any()]
+    return Extent(low, high, float(np.median(footprints)))
 
 
 class Volume:

@@ -1,0 +1,140 @@
+"""Which figures a page shows, in which words and units."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A figure's words: title, unit, digits after the point, and factor to the unit."""
+
+    title: str
+    unit: str = ""
+    digits: int = 2
+    factor: float = 1.0
+
+
+FIGURES = {
+    "psnr_srgb": Figure("PSNR, full frame", "dB"),
+    "psnr_foreground": Figure("PSNR, object only", "dB"),
+    "ssim": Figure("SSIM", "", 4),
+    "psnr_srgb_behind_polariser": Figure("PSNR behind the polariser", "dB"),
+    "psnr_foreground_behind_polariser": Figure("PSNR behind the polariser, object", "dB"),
+    "ssim_behind_polariser": Figure("SSIM behind the polariser", "", 4),
+    "normal_mae_deg": Figure("Normals, mean error", "°"),
+    "normal_cosine_distance": Figure("Normals, cosine distance", "", 4),
+    "dolp_mae": Figure("DoLP, mean error", "", 4),
+    "aolp_mae_deg": Figure("AoLP, mean error", "°"),
+    "ior_mean": Figure("Index of refraction, mean", "", 3),
+    "ior_error": Figure("Index of refraction, error", "", 3),
+    "roughness_mean": Figure("Roughness, mean", "", 3),
+    "roughness_error": Figure("Roughness, error", "", 3),
+    "env_psnr": Figure("Environment, PSNR", "dB"),
+    "env_psnr_scaled": Figure("Environment, PSNR at best scale", "dB"),
+    "env_log_correlation": Figure("Environment, log correlation", "", 3),
+    "chamfer_pct": Figure("Mesh, chamfer distance", "%", 3),
+    "accuracy_pct": Figure("Mesh, accuracy", "%", 3),
+    "completeness_pct": Figure("Mesh, completeness", "%", 3),
+    "fscore_1pct": Figure("Mesh, F-score at 1 %", "", 4),
+    "triangles": Figure("Mesh, triangles", "", 0),
+    "psnr_srgb_scaled": Figure("PSNR at best scale per channel", "dB"),
+    "maps_vs_frames_psnr": Figure("Maps against frames, PSNR", "dB"),
+    "maps_vs_frames_psnr_foreground": Figure("Maps against frames, object", "dB"),
+    "maps_vs_frames_ssim": Figure("Maps against frames, SSIM", "", 4),
+    "diffuse_normal_median_deg": Figure("Diffuse normals, median error", "°"),
+    "specular_normal_median_deg": Figure("Specular normals, median error", "°"),
+    "normal_median_deg": Figure("Normals, median error", "°"),
+    "normal_mean_deg": Figure("Normals, mean error", "°"),
+    "albedo_rel_median": Figure("Diffuse albedo, median error", "%", 2, 100),
+    "albedo_rel_mean": Figure("Diffuse albedo, mean error", "%", 2, 100),
+    "sigma_rel_error_u": Figure("Larger σ, error of the median", "%", 1, 100),
+    "sigma_rel_error_v": Figure("Smaller σ, error of the median", "%", 1, 100),
+    "sigma_median_u": Figure("Larger σ, median", "", 3),
+    "sigma_median_v": Figure("Smaller σ, median", "", 3),
+    "specular_albedo_median": Figure("Specular albedo, median", "", 3),
+    "tangent_median_deg": Figure("Tangent, median error", "°"),
+    "residual_median": Figure("Residual of the fit, median", "%", 2, 100),
+    "flagged_pct": Figure("Flagged pixels", "%", 1),
+    "saturated_fraction": Figure("Saturated samples", "%", 3, 100),
+    "noise": Figure("Noise of a sample", "", 5),
+    "coverage": Figure("Object in the frame", "%", 1, 100),
+    "condition": Figure("Condition of the polariser angles", "", 1),
+}
+HEADLINES = {
+    "train": ("psnr_srgb", "psnr_foreground", "normal_mae_deg", "dolp_mae", "aolp_mae_deg", "env_log_correlation"),
+    "mesh": ("chamfer_pct",),
+    "olat": ("diffuse_normal_median_deg", "normal_median_deg", "albedo_rel_median", "sigma_rel_error_u", "residual_median"),
+}
+SKIPPED = ("views", "why", "wall_s", "cpu_s", "peak_rss_mb")
+
+
+def describe(name: str) -> Figure:
+    """Words for a figure, made from its name where none are written down."""
+    if name in FIGURES:
+        return FIGURES[name]
+    for ending, unit in (("_deg", "°"), ("_pct", "%"), ("_s", "s"), ("_mb", "MB")):
+        if name.endswith(ending):
+            return Figure(name.removesuffix(ending).replace("_", " "), unit)
+    return Figure(name.replace("_", " "), "", 3)
+
+
+def text_of(name: str, value: Any) -> str:
+    """A value as text with its unit; an en dash for what is not known."""
+    if value is None:
+        return "–"
+    if isinstance(value, Mapping):
+        return ", ".join(f"{k} {text_of(name, v)}" for k, v in value.items())
+    if isinstance(value, list):
+        return ", ".join(text_of(name, v) for v in value)
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return str(value)
+    f = describe(name)
+    number = f"{value * f.factor:,.{f.digits}f}".replace(",", " ")
+    return number + (f.unit if f.unit == "°" else f" {f.unit}" if f.unit else "")
+
+
+def headlines(metrics: Mapping[str, Any]) -> list[dict[str, str]]:
+    """Tiles at the top: what a reader wants first."""
+    tiles = []
+    for stage, names in HEADLINES.items():
+        for name in names:
+            value = metrics.get(stage, {}).get(name)
+            if value is not None:
+                number, _, unit = text_of(name, value).rstrip("°").partition(" ")
+                unit = unit or ("°" if text_of(name, value).endswith("°") else "")
+                tiles.append({"value": number, "unit": unit, "title": describe(name).title})
+    relit = [(n, t["psnr_srgb"]) for n, t in metrics.get("relight", {}).items() if isinstance(t, dict) and t.get("psnr_srgb")]
+    for name, value in relit:
+        tiles.append({"value": f"{value:.2f}", "unit": "dB", "title": f"Relit under {name}"})
+    return tiles
+
+
+def tables(metrics: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """A table of figures, with reasons and rows per view, for every stage and part."""
+    out: list[dict[str, Any]] = []
+    for stage, table in metrics.items():
+        if not isinstance(table, Mapping):
+            continue
+        out += _tables_of(stage, table)
+    return [t for t in out if t["figures"] or t["rows"]]
+
+
+def _tables_of(title: str, table: Mapping[str, Any]) -> list[dict[str, Any]]:
+    why = table.get("why", {})
+    figures, parts = [], []
+    for name, value in table.items():
+        if name in SKIPPED:
+            continue
+        if isinstance(value, Mapping) and ("views" in value or "why" in value or "pixels" in value):
+            parts += _tables_of(f"{title}: {name}", value)
+            continue
+        figures.append({"title": describe(name).title, "name": name, "value": text_of(name, value), "why": why.get(name, "")})
+    listed = table.get("views")
+    rows: list[dict[str, Any]] = listed if isinstance(listed, list) else []
+    columns = list(dict.fromkeys(k for row in rows for k in row if k != "view"))
+    body = [{"view": row["view"], "cells": [text_of(c, row.get(c)) for c in columns]} for row in rows]
+    heads = [describe(c).title for c in columns]
+    return [{"title": title, "figures": figures, "heads": heads, "rows": body}, *parts]

@@ -1,0 +1,140 @@
+"""report.html: what the capture was, what was done and why, pictures, curves, figures, costs; one file without links."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from pipeline.progress import clock
+from pipeline.stage import StageRun
+
+from .curves import line_chart
+from .figures import headlines, tables, text_of
+
+FOLDER = Path(__file__).parent
+
+
+def render(template: str, context: Mapping[str, Any]) -> str:
+    """Fill a template of this folder; everything is escaped unless the template says otherwise."""
+    import jinja2
+
+    environment = jinja2.Environment(
+        loader=jinja2.FileSystemLoader(FOLDER),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=jinja2.StrictUndefined,
+    )
+    environment.globals.update(style=(FOLDER / "style.css").read_text(), text_of=text_of)
+    return environment.get_template(template).render(**context)
+
+
+def write_report(run: StageRun, metrics: dict[str, Any], manifests: Mapping[str, dict[str, Any]]) -> None:
+    """Write report.html into the stage's output."""
+    context = {
+        "name": run.capture.root.name,
+        "facts": capture_facts(run),
+        "tiles": headlines(metrics),
+        "plan": plan_rows(run, manifests),
+        "views": [], "environment": [], "relit": [], "olat": [],
+        "curves": training_curves(run.inputs["train"] / "train_log.csv") if "train" in run.inputs else [],
+        "costs": cost_rows(manifests),
+        "tables": tables(metrics),
+        "warnings": [(n, w) for n, m in manifests.items() for w in m.get("warnings", [])]
+        + [("capture", w) for w in run.capture.warnings],
+        "parameters": {n: m.get("parameters", {}) for n, m in manifests.items() if m.get("parameters")},
+        "packages": dict(sorted({k: v for m in manifests.values() for k, v in m.get("packages", {}).items()}.items())),
+    }  # fmt: skip
+    if "train" in run.inputs:
+        from . import views
+
+        context["views"] = views.view_cards(run, metrics)
+        context["environment"] = views.environment_pictures(run)
+        context["relit"] = views.relit_cards(run) if "relight" in run.inputs else []
+    if "olat" in run.inputs:
+        from . import lightstage
+
+        context["olat"] = lightstage.olat_cards(run, metrics)
+        context["relit"] = lightstage.relit_cards(run) if "relight" in run.inputs else []
+    (run.output / "report.html").write_text(render("report.html.jinja", context), encoding="utf-8")
+
+
+def capture_facts(run: StageRun) -> list[str]:
+    """What the capture was, in a few words each."""
+    c = run.capture
+    if c.light_stage is not None:
+        cameras = list(c.light_stage.cameras.values())
+        size = f"{cameras[0].camera.width} × {cameras[0].camera.height} px"
+        count = len(cameras)
+        return [
+            c.layout,
+            f"{len(c.light_stage.lights)} lights",
+            f"{count} camera{'s' if count > 1 else ''}",
+            size,
+            "cross and parallel polarised",
+        ]
+    words = {"stokes": "full linear Stokes vectors", "polarisers": "behind polarisers", "none": "no polarisation data"}
+    size = next((f"{v.size[0]} × {v.size[1]} px" for v in c.views if v.size), "")
+    facts = [c.layout, f"{len(c.views)} views", size, words[c.polarisation], f"{c.up} up", *c.facts]
+    return [f for f in facts if f]
+
+
+def plan_rows(run: StageRun, manifests: Mapping[str, dict[str, Any]]) -> list[dict[str, Any]]:
+    """Every stage's decision with its reason; passes that stages decided on while running are added."""
+    root = Path(os.path.abspath(next(iter(run.inputs.values())))).parents[1] if run.inputs else Path()
+    try:
+        plan = json.loads((root / "dataset.json").read_text())["plan"]
+    except (OSError, ValueError, KeyError):
+        plan = {n: m.get("decision", {"run": True, "reason": ""}) for n, m in manifests.items()}
+    rows = []
+    for name, decision in plan.items():
+        passes = dict(decision.get("passes", {}))
+        facts = manifests.get(name, {}).get("facts", {})
+        passes |= {k: v for k, v in facts.items() if isinstance(v, dict) and {"run", "reason"} <= set(v)}
+        rows.append({"name": name, "run": decision["run"], "reason": decision["reason"], "passes": passes})
+    return rows
+
+
+def cost_rows(manifests: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
+    """Wall time, processor time, memory and disk of each stage, and the totals."""
+    walls = [float(m.get("wall_s") or 0) for m in manifests.values()]
+    longest = max([*walls, 1e-9])
+    rows = []
+    for (name, m), wall in zip(manifests.items(), walls):
+        disk = sum(o["bytes"] for o in m.get("outputs", [])) / 2**20
+        rows.append({
+            "name": name, "wall": clock(wall) if wall >= 10 else f"{wall:.1f} s", "cpu": f"{float(m.get('cpu_s') or 0):.1f} s",
+            "memory": f"{float(m.get('peak_rss_mb') or 0):,.0f} MB".replace(",", " "), "disk": f"{disk:.1f} MB",
+            "share": 100 * wall / longest, "key": m.get("key", ""), "device": m.get("device", ""),
+        })  # fmt: skip
+    peak = max([float(m.get("peak_rss_mb") or 0) for m in manifests.values()] or [0])
+    return {"rows": rows, "wall": clock(sum(walls)), "memory": f"{peak:,.0f} MB".replace(",", " ")}
+
+
+def training_curves(path: Path) -> list[str]:
+    """Charts of the training log: validation PSNR and losses over wall seconds."""
+    if not path.is_file():
+        return []
+    with path.open() as stream:
+        rows = list(csv.DictReader(stream))
+    if len(rows) < 2:
+        return []
+
+    def column(name: str) -> list[float]:
+        return [float(row.get(name) or "nan") for row in rows]
+
+    wall = column("wall_s")
+    losses = [n for n in rows[0] if n not in ("iteration", "wall_s", "splats") and "psnr" not in n]
+    gain = [n for n in rows[0] if "psnr" in n]
+    charts = [
+        line_chart(wall, {n.replace("_", " "): column(n) for n in gain}, "wall time (s)", "Validation PSNR (dB)"),
+        line_chart(wall, {n.replace("_", " "): column(n) for n in losses}, "wall time (s)", "Losses (logarithmic)", log=True),
+        line_chart(wall, {"Gaussians": column("splats")}, "wall time (s)", "Number of Gaussians")
+        if "splats" in rows[0]
+        else "",
+    ]
+    return [c for c in charts if c]

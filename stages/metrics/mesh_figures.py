@@ -1,0 +1,63 @@
+"""Distance between two surfaces by dense samples, in percent of the true one's longest side."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.errors import UserError
+
+from .table import Table
+
+FIGURES = ("chamfer_pct", "accuracy_pct", "completeness_pct", "fscore_1pct")
+
+
+def sample(vertices: NDArray, faces: NDArray, count: int, rng: np.random.Generator) -> NDArray[np.float64]:
+    """`count` points [count, 3], uniform by area."""
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    if not area.sum() > 0:
+        raise ValueError("the mesh has no area")
+    chosen = rng.choice(len(faces), count, p=area / area.sum())
+    root, u = np.sqrt(rng.random(count))[:, None], rng.random(count)[:, None]
+    return (1 - root) * a[chosen] + root * (1 - u) * b[chosen] + root * u * c[chosen]
+
+
+def surface_figures(mesh: tuple[NDArray, NDArray], truth: tuple[NDArray, NDArray], count: int) -> dict[str, float]:
+    """Accuracy (mesh to truth), completeness (truth to mesh), their mean, and the F-score at 1 % of the true size."""
+    from scipy.spatial import cKDTree
+
+    rng = np.random.default_rng(1)
+    a, b = sample(*mesh, count, rng), sample(*truth, count, rng)
+    size = float((truth[0].max(0) - truth[0].min(0)).max())
+    to_truth, to_mesh = cKDTree(b).query(a, workers=-1)[0], cKDTree(a).query(b, workers=-1)[0]
+    precision, recall = (max(float((d < 0.01 * size).mean()), 1e-9) for d in (to_truth, to_mesh))
+    return {
+        "chamfer_pct": float(50 * (to_truth.mean() + to_mesh.mean()) / size),
+        "accuracy_pct": float(100 * to_truth.mean() / size),
+        "completeness_pct": float(100 * to_mesh.mean() / size),
+        "fscore_1pct": 2 / (1 / precision + 1 / recall),
+    }
+
+
+def read_mesh(path: Path) -> tuple[NDArray, NDArray]:
+    """Vertices [V, 3] and triangles [F, 3] of a mesh file. Raises UserError."""
+    import open3d as o3d
+
+    mesh = o3d.io.read_triangle_mesh(str(path))
+    if not len(mesh.triangles):
+        raise UserError(path, "holds no triangle", "mend or remove it")
+    return np.asarray(mesh.vertices), np.asarray(mesh.triangles)
+
+
+def mesh_table(folder: Path, truth: Path, count: int) -> Table:
+    """Figures of mesh.ply."""
+    table = Table()
+    mesh = read_mesh(folder / "mesh.ply")
+    table.figures["triangles"] = len(mesh[1])
+    if truth.is_file():
+        table.figures |= surface_figures(mesh, read_mesh(truth), count)
+    table.missing(FIGURES, "the capture has no gt/mesh.ply")
+    return table
