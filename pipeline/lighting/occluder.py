@@ -79,6 +79,21 @@ class Occluder:
         return float((blocked * (weight * local[:, 2])).sum(-1).mean() / np.pi)
 
 
+def simplified(vertices: NDArray, triangles: NDArray, faces: int = 20_000) -> tuple[NDArray, NDArray]:
+    """(vertices, triangles) of a mesh of at most about `faces` triangles (quadric decimation): shadows need no more."""
+    if len(triangles) <= faces:
+        return vertices, triangles
+    import open3d
+
+    o3d: Any = open3d
+    mesh = o3d.geometry.TriangleMesh(
+        o3d.utility.Vector3dVector(np.asarray(vertices, np.float64)),
+        o3d.utility.Vector3iVector(np.asarray(triangles, np.int32)),
+    )
+    mesh = mesh.simplify_quadric_decimation(faces)
+    return np.asarray(mesh.vertices), np.asarray(mesh.triangles)
+
+
 def vertex_normals(vertices: NDArray, triangles: NDArray) -> Float:
     """Unit normals [V, 3]: area-weighted means of the faces'; +z at vertices of no face."""
     corners = vertices[triangles.astype(np.int64)].astype(np.float64)

@@ -42,15 +42,12 @@ class SurfaceLight:
 
 @dataclass(frozen=True)
 class Attachment:
-    """P shaded points tied to a mesh: what `Transfer.occlusion` needs of them, whatever the environment.
+    """P shaded points tied to a mesh: what `Transfer.occlusion` needs of them, whatever the environment."""
 
-    vertices, weights [P, 3]: surface at the point. lobe [P, S] -> `rays` [P x S rays]: see `Transfer.attach`.
-    """
-
-    vertices: torch.Tensor
-    weights: torch.Tensor
-    unblocked: torch.Tensor  # [P]
-    mirrored: torch.Tensor  # sparse [P, V]: mean of what blocked mirror rays meet, divided by all rays
+    vertices: torch.Tensor  # [P, 3] corners of the nearest triangle
+    weights: torch.Tensor  # [P, 3] of the nearest point in it
+    unblocked: torch.Tensor  # [P] share of the mirror rays that leave
+    mirrored: torch.Tensor  # sparse [P, V]: where the other rays end, summing to 1 - unblocked
 
 
 class Transfer:
@@ -62,39 +59,32 @@ class Transfer:
     def __init__(self, occluder: Occluder, albedo: NDArray, *, ior: float = REFERENCE_IOR, resolution: int = 8) -> None:
         self.occluder, self.resolution = occluder, resolution
         self.albedo = torch.as_tensor(np.asarray(albedo), dtype=torch.float32)
-        # A body under a uniform sky sends back A0^2 albedo: light passes the surface twice.
+        # Received light is weighted by the way in at the reference IoR: scaled to this one, times the mean way out.
         entering = float(fresnel.hemispherical_transmittance(np.asarray(ior)))
-        self._leaving = entering * entering / _reference_entering()
-        self._weights, blocked, meets = self._cast()
-        self._blocked = torch.as_tensor(blocked)
-        self._meets = torch_csr(meets)
+        self._leaving = entering * entering / float(fresnel.hemispherical_transmittance(np.asarray(REFERENCE_IOR)))
+        self._weights, self._blocked, self._meets = self._cast()
 
-    def _cast(self) -> tuple[torch.Tensor, NDArray[np.float32], csr_matrix]:
-        """Weights of texels at vertices [V, K], those of blocked texels [V, K], and of the vertices met [V, V]."""
+    def _cast(self) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Weights of texels at vertices [V, K], those of blocked texels [V, K], those of the vertices met [V, V]."""
         mesh = self.occluder
         directions = cube_directions(self.resolution).reshape(-1, 3).astype(np.float32)
-        area = np.tile(sphere.cube_solid_angles(self.resolution).ravel(), 6)
-        count = len(mesh.vertices)
+        area = np.tile(sphere.cube_solid_angles(self.resolution).ravel(), 6).astype(np.float32)
+        count, texels = len(mesh.vertices), len(directions)
         cosine = np.maximum(mesh.normals @ directions.T, 0).astype(np.float32)
-        passing = fresnel.transmittance(np.maximum(cosine, 1e-6), np.float32(REFERENCE_IOR))
-        weights = (cosine * passing * area).astype(np.float32)
-        blocked = np.zeros_like(weights)
-        rows, columns, values = [], [], []
-        step = max(1, BLOCK // len(directions))
+        weights = cosine * fresnel.transmittance(cosine, np.float32(REFERENCE_IOR)) * area
+        found = []
+        step = max(1, BLOCK // texels)
         for start in range(0, count, step):
             vertex, texel = np.nonzero(cosine[start : start + step])
             vertex += start
             hits = mesh.cast(mesh.vertices[vertex] + mesh.lift * mesh.normals[vertex], directions[texel])
             vertex, texel = vertex[hits.blocked], texel[hits.blocked]
-            w = weights[vertex, texel]
-            blocked[vertex, texel] = w
-            rows.append(np.repeat(vertex, 3))
-            columns.append(hits.vertices[hits.blocked].ravel())
-            values.append((w[:, None] * hits.weights[hits.blocked]).ravel())
-        meets = csr_matrix(
-            tuple([np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))]), shape=(count, count)
-        )
-        return torch.as_tensor(weights), blocked, meets
+            found.append((vertex, texel, hits.vertices[hits.blocked], hits.weights[hits.blocked]))
+        vertex, texel, corners, share = (np.concatenate(x) for x in zip(*found))
+        w = weights[vertex, texel]
+        blocked = csr_matrix((w, (vertex, texel)), shape=(count, texels))
+        met = (w[:, None] * share).ravel(), (np.repeat(vertex, 3), corners.ravel())
+        return torch.as_tensor(weights), torch_csr(blocked), torch_csr(csr_matrix(met, shape=(count, count)))
 
     def light(self, radiance: torch.Tensor, bounces: int = 2) -> SurfaceLight:
         """Light at the vertices under radiance [6, R, R, 3] (R at least the transfer's resolution); differentiable."""
@@ -122,7 +112,7 @@ class Transfer:
         normals: NDArray,  # [P, 3] unit
         view: NDArray,  # [P, 3] unit, towards the camera
         roughness: NDArray,  # [P]
-        rays: tuple[int, int] = (2, 4),
+        rays: tuple[int, int] = (1, 4),
         lobe: str = "ggx",
     ) -> Attachment:
         """Tie shaded points to the mesh and cast their mirror rays: `rays` = (rings, azimuths) over the lobe."""
@@ -167,7 +157,3 @@ class Transfer:
             unblocked=attachment.unblocked,
             seen=attachment.mirrored @ light.leaving,
         )
-
-
-def _reference_entering() -> float:
-    return float(fresnel.hemispherical_transmittance(np.asarray(REFERENCE_IOR)))
