@@ -1,0 +1,249 @@
+"""A page that shows what was understood of a capture before anything long runs."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.cameras import Camera
+from pipeline.capture import Capture
+from pipeline.errors import UserError
+from pipeline.images import read_image, write_fault
+from pipeline.plan import Step, plan_as_json
+
+from . import pictures
+from .page import render
+from .views import AOLP_FULL, DOLP_FULL, exposure_of, picture, polarisation
+
+SHOWN = 6  # views whose pixels are looked at
+LONGEST = 288  # px
+MEBI = 2**20
+# Compressed bytes of a float EXR value, as seen on the project's own images (zip halves noise, blacks cost nothing).
+BYTES_PER_VALUE = 1.6
+GBUFFER_CHANNELS, TEST_CHANNELS, STOKES_CHANNELS, MAP_CHANNELS = 10, 25, 9, 31
+
+
+def write_inspection(capture: Capture, steps: Sequence[Step], folder: Path) -> Path:
+    """Write inspect.html to `folder` (made when missing) and return its path. Raises UserError when it cannot write."""
+    shown, faults = _views(capture)
+    plan = plan_as_json(list(steps))
+    disk = disk_estimate(capture, {name for name, d in plan.items() if d["run"]})
+    context = {
+        "name": capture.root.name,
+        "facts": _facts(capture),
+        "plan": [{"name": n, "passes": d.get("passes", {}), **d} for n, d in plan.items()],
+        "views": shown,
+        "scene": json.dumps(scene_of(capture)),
+        "disk": disk,
+        "disk_total": sum(mb for _, mb in disk),
+        "warnings": [("capture", w) for w in capture.warnings] + faults,
+        "environments": [_environment(p) for p in capture.environments],
+        "polarisers": _polarisers(capture),
+    }
+    path = folder / "inspect.html"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        path.write_text(render("inspect.html.jinja", context), encoding="utf-8")
+    except OSError as error:
+        raise write_fault(path, error.strerror or str(error)) from error
+    return path
+
+
+def _facts(capture: Capture) -> list[tuple[str, str]]:
+    """What was recognised, as names and values."""
+    words = {"stokes": "full linear Stokes vectors", "polarisers": "photographs behind polarisers", "none": "none"}
+    out = [("layout", capture.layout), ("polarisation", words[capture.polarisation]), ("up axis", capture.up)]
+    if capture.light_stage is not None:
+        stage = capture.light_stage
+        out += [("lights", str(len(stage.lights))), ("cameras", ", ".join(sorted(stage.cameras)))]
+        sizes = {f"{c.camera.width} × {c.camera.height} px" for c in stage.cameras.values()}
+        out.append(("image size", ", ".join(sorted(sizes))))
+        masks = sum(c.mask is not None for c in stage.cameras.values())
+        out.append(("masks", f"{masks} of {len(stage.cameras)} cameras"))
+    else:
+        sizes = {f"{v.size[0]} × {v.size[1]} px" for v in capture.views if v.size}
+        out += [("views", str(len(capture.views))), ("image size", ", ".join(sorted(sizes)) or "told by the files")]
+        out.append(("physical cameras", ", ".join(capture.camera_names)))
+        given = "a COLMAP model" if capture.colmap else "not given: COLMAP will find them"
+        out.append(("poses", f"given for {len(capture.cameras)} views" if capture.cameras else given))
+        if isinstance(capture.masks, dict):
+            out.append(("masks", f"given for {len(capture.masks)} views"))
+        else:
+            out.append(("masks", "in the images' alpha" if capture.masks == "alpha" else "not given: the object is segmented"))
+    out.append(("environment maps", ", ".join(p.stem for p in capture.environments) or "none"))
+    return out + [("also", fact) for fact in capture.facts]
+
+
+def _polarisers(capture: Capture) -> list[dict[str, str]]:
+    rows = []
+    for name, prior in sorted(capture.polarisers.items()):
+        angle = "unknown" if prior.angle_deg is None else f"{prior.angle_deg:g}°"
+        use = "as told" if prior.trusted else "a starting value, optimised" if prior.angle_deg is not None else "optimised"
+        rows.append({"name": name, "angle": angle, "use": use})
+    return rows
+
+
+def _chosen(names: Sequence[str]) -> list[str]:
+    """A few of the views, evenly spread."""
+    return [names[i] for i in sorted({round(k) for k in np.linspace(0, len(names) - 1, min(len(names), SHOWN))})]
+
+
+def _views(capture: Capture) -> tuple[list[dict[str, Any]], list[tuple[str, str]]]:
+    """Cards of a few views, and what was found wrong while reading them."""
+    cards, faults = [], []
+    if capture.light_stage is not None:
+        for name, camera in sorted(capture.light_stage.cameras.items()):
+            try:
+                cards.append({"view": name, "pictures": _stage_pictures(camera)})
+            except UserError as error:
+                faults.append((name, str(error)))
+        return cards, faults
+    for name in _chosen([v.view for v in capture.views]):
+        try:
+            cards.append({"view": name, "pictures": _view_pictures(capture, name)})
+        except UserError as error:
+            faults.append((name, str(error)))
+    return cards, faults
+
+
+def _stage_pictures(camera: Any) -> list[dict[str, str]]:
+    """A few frames, cross and parallel, and the mask."""
+    rgb = ("R", "G", "B")
+    picks = _chosen([str(i) for i in range(len(camera.cross))])[1:5]
+    frames = [
+        (kind, i, read_image(paths[int(i)], rgb))
+        for i in picks
+        for kind, paths in (("cross", camera.cross), ("parallel", camera.parallel))
+    ]
+    gain = 1 / max(float(np.percentile(np.concatenate([f[2].ravel() for f in frames]), 99.5)), 1e-6)
+    out = [picture(pictures.radiance(pixels, gain), f"light {i}", kind, LONGEST) for kind, i, pixels in frames]
+    if camera.mask is not None:
+        out.append(
+            picture(
+                pictures.scale(read_image(camera.mask)[..., 0], 0, 1, ((0, 0, 0), (255, 255, 255))), "mask", "given", LONGEST
+            )
+        )
+    return out
+
+
+def _view_pictures(capture: Capture, name: str) -> list[dict[str, str]]:
+    """Radiance, mask, DoLP and AoLP of one view."""
+    decoded = capture.view(name).read()
+    image = np.nan_to_num(decoded.s0)
+    out = [
+        picture(
+            pictures.radiance(image, exposure_of(image)),
+            "radiance",
+            "s0" if decoded.stokes is not None else "as taken",
+            LONGEST,
+        )
+    ]
+    mask: NDArray | None = decoded.alpha
+    if isinstance(capture.masks, dict) and name in capture.masks:
+        mask = read_image(capture.masks[name])[..., 0]
+    if mask is not None and mask.shape == image.shape[:2]:
+        shade = pictures.radiance(image, exposure_of(image)).astype(float)
+        tinted = np.where((mask > 0.5)[..., None], shade, 0.25 * shade + np.array([120, 30, 20]))
+        out.append(picture(tinted.clip(0, 255).astype(np.uint8), "mask", "red: not the object", LONGEST))
+    inside = np.ones(image.shape[:2]) if mask is None or mask.shape != image.shape[:2] else (mask > 0.5) * 1.0
+    if decoded.stokes is not None:
+        degree, angle = polarisation(np.nan_to_num(decoded.stokes))
+        out.append(picture(pictures.scale(degree, 0, DOLP_FULL, mask=inside), "DoLP", f"0 to {DOLP_FULL}", LONGEST))
+        out.append(
+            picture(pictures.angles(angle, degree / AOLP_FULL * inside), "AoLP", "hue, dim where hardly polarised", LONGEST)
+        )
+    if decoded.saturated is not None and decoded.saturated.any():
+        out.append(
+            picture(
+                pictures.scale(decoded.saturated * 1.0, 0, 1), "saturated", f"{100 * decoded.saturated.mean():.2f} %", LONGEST
+            )
+        )
+    return out
+
+
+def _environment(path: Path) -> dict[str, str]:
+    try:
+        return picture(pictures.radiance(read_image(path, ("R", "G", "B"))), path.stem, "", 560)
+    except UserError as error:
+        return {"src": "", "title": path.stem, "text": str(error)}
+
+
+def scene_of(capture: Capture) -> dict[str, Any]:
+    """Cameras (frustum corners) and lights in a y-up frame scaled to radius 1, for the 3D drawing."""
+    from pipeline.lights.environment import Y_UP_FROM
+
+    turn = Y_UP_FROM[capture.up]
+    cameras: dict[str, Camera] = dict(capture.cameras or {})
+    lights = np.zeros((0, 3))
+    if capture.light_stage is not None:
+        cameras = {n: c.camera for n, c in capture.light_stage.cameras.items()}
+        lights = capture.light_stage.lights.positions
+    if not cameras:
+        return {"cameras": [], "lights": []}
+    centres = np.stack([c.centre for c in cameras.values()])
+    axes = np.stack([c.world_to_camera[2, :3] for c in cameras.values()])
+    middle = np.zeros(3) if len(lights) else nearest_to_axes(centres, axes)
+    everything = np.concatenate([centres, lights]) - middle
+    radius = float(np.linalg.norm(everything, axis=1).max()) or 1.0
+    names = sorted(cameras)
+    out = []
+    for k, name in enumerate(names):
+        c = cameras[name]
+        corners = np.array([(0, 0), (c.width, 0), (c.width, c.height), (0, c.height)], float)
+        local = np.concatenate([(corners - (c.cx, c.cy)) / (c.fx, c.fy), np.ones((4, 1))], 1)
+        local *= 0.16 / np.linalg.norm(local[0])
+        points = (c.centre - middle) / radius + local @ c.world_to_camera[:3, :3]
+        test = capture.light_stage is None and k % 8 == 0
+        out.append(
+            {
+                "name": name,
+                "at": _round((c.centre - middle) / radius @ turn.T),
+                "corners": _round(points @ turn.T),
+                "test": test,
+            }
+        )
+    return {"cameras": out, "lights": _round((lights - middle) / radius @ turn.T)}
+
+
+def nearest_to_axes(centres: NDArray, axes: NDArray) -> NDArray[np.float64]:
+    """The point nearest to all viewing axes (least squares); the centres' mean where the axes are parallel."""
+    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
+    total = across.sum(0)
+    if np.linalg.cond(total) > 1e6:
+        return centres.mean(0)
+    return np.linalg.solve(total, np.einsum("nij,nj->i", across, centres))
+
+
+def _round(values: NDArray) -> Any:
+    return np.round(values, 4).tolist()
+
+
+def disk_estimate(capture: Capture, stages: set[str]) -> list[tuple[str, float]]:
+    """Megabytes that each running stage will leave, roughly: within a factor of two for ordinary objects."""
+    if capture.light_stage is not None:
+        pixels = sum(c.camera.width * c.camera.height for c in capture.light_stage.cameras.values())
+        per_stage = {
+            "decode": 0.05, "masks": pixels / 8 / MEBI, "olat": pixels * MAP_CHANNELS * BYTES_PER_VALUE / MEBI,
+            "relight": pixels * 6 * BYTES_PER_VALUE * len(capture.environments) / MEBI, "metrics": 1.0,
+        }  # fmt: skip
+    else:
+        sizes = [v.size or _size_of(capture, v.view) for v in capture.views]
+        pixels = sum(w * h for w, h in sizes)
+        channels = 3 if capture.polarisation != "stokes" else STOKES_CHANNELS
+        per_stage = {
+            "decode": pixels * channels * BYTES_PER_VALUE / MEBI, "poses": 0.1 if capture.cameras else pixels / 4 / MEBI,
+            "masks": pixels / 8 / MEBI, "train": pixels * (GBUFFER_CHANNELS + TEST_CHANNELS / 8) * BYTES_PER_VALUE / MEBI + 4,
+            "mesh": 8.0, "relight": pixels * (STOKES_CHANNELS + 1) * BYTES_PER_VALUE * len(capture.environments) / MEBI,
+            "metrics": 3.0,
+        }  # fmt: skip
+    return [(name, mb) for name, mb in per_stage.items() if name in stages]
+
+
+def _size_of(capture: Capture, view: str) -> tuple[int, int]:
+    camera = (capture.cameras or {}).get(view)
+    return (camera.width, camera.height) if camera else (1024, 1024)
