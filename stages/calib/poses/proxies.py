@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.images import read_image, srgb_encode, write_mask, write_png
+from pipeline.images import read_image, srgb_encode, write_fault, write_mask
 from pipeline.stage import StageRun
 
 
@@ -26,20 +27,46 @@ class Proxy:
 
 
 def write_proxies(stage: StageRun, folder: Path, frames: dict[str, dict]) -> list[Proxy]:
-    """Write every decoded view to FOLDER/CAMERA/VIEW.png; all of a camera share one exposure, so that it is kept."""
+    """Write every decoded view to FOLDER/CAMERA/VIEW.tif; all of a camera share one exposure, so that it is kept."""
     exposure = {camera: _exposure(stage, views) for camera, views in _by_camera(frames).items()}
-    out = []
-    for view, frame in sorted(frames.items()):
+
+    def one(item: tuple[str, dict]) -> Proxy:
+        view, frame = item
         group = f"{frame['camera']}_{frame['width']}x{frame['height']}"
-        name = f"{group}/{view}.png"
+        name = f"{group}/{view}.tif"
         s0 = _radiance(stage, frame["file"])
-        write_png(folder / name, srgb_encode(s0 * exposure[frame["camera"]]))
-        out.append(Proxy(view, name, group, frame["camera"], frame["width"], frame["height"]))
-    return out
+        write_tiff(folder / name, encode(s0, exposure[frame["camera"]]))
+        return Proxy(view, name, group, frame["camera"], frame["width"], frame["height"])
+
+    with ThreadPoolExecutor(max(1, stage.jobs)) as pool:
+        return list(pool.map(one, sorted(frames.items())))
+
+
+LEVELS = 4096
+TABLE = (srgb_encode(np.arange(LEVELS) / (LEVELS - 1)) * 255 + 0.5).astype(np.uint8)
+"""sRGB of 12-bit linear levels: finer than an 8-bit code everywhere but in the two darkest."""
+
+
+def encode(radiance: NDArray[np.float32], exposure: float) -> NDArray[np.uint8]:
+    """Linear [H, W, 3] as 8-bit sRGB."""
+    scaled = radiance * np.float32(exposure * (LEVELS - 1))
+    return TABLE[np.clip(np.nan_to_num(scaled), 0, LEVELS - 1).astype(np.uint16)]
+
+
+def write_tiff(path: Path, pixels: NDArray[np.uint8]) -> None:
+    """Uncompressed, as it is read once and thrown away. Raises UserError when it cannot be written."""
+    import OpenImageIO as oiio
+
+    path.parent.mkdir(parents=True, exist_ok=True)
+    spec = oiio.ImageSpec(pixels.shape[1], pixels.shape[0], 3, "uint8")
+    spec.attribute("compression", "none")
+    out = oiio.ImageOutput.create(str(path))
+    if out is None or not out.open(str(path), spec) or not out.write_image(np.ascontiguousarray(pixels)) or not out.close():
+        raise write_fault(path, oiio.geterror() if out is None else out.geterror())
 
 
 def write_masks(stage: StageRun, folder: Path, proxies: Iterable[Proxy]) -> Path | None:
-    """Masks that the capture gives, as COLMAP wants them (NAME.png.png), for every view or not at all; None if none."""
+    """Masks that the capture gives, as COLMAP wants them (NAME.tif.png), for every view or not at all; None if none."""
     masks = stage.capture.masks
     if not isinstance(masks, dict) or not stage.parameters.use_masks:
         return None
@@ -60,14 +87,16 @@ def _by_camera(frames: dict[str, dict]) -> dict[str, list[dict]]:
 
 
 def _exposure(stage: StageRun, frames: list[dict]) -> float:
-    """Factor that makes the median of some of a camera's frames middle grey."""
-    some = frames[:: max(1, len(frames) // 4)]
-    middle = float(np.median([np.median(_radiance(stage, f["file"])[::4, ::4].mean(-1)) for f in some]))
-    bright = float(np.median([np.percentile(_radiance(stage, f["file"])[::4, ::4].mean(-1), 95) for f in some]))
-    if bright <= 0:
-        return 1.0
-    # Dark surrounds must not blow up the object: the bright end stays below white.
-    return min(0.18 / middle if middle > 0 else np.inf, 0.8 / bright)
+    """Factor that makes the median of some of a camera's frames middle grey, without blowing up their bright end:
+    a dark surround is no reason to."""
+    middle, bright = [], []
+    for frame in frames[:: max(1, len(frames) // 3)][:3]:
+        grey = _radiance(stage, frame["file"])[::4, ::4].mean(-1)
+        middle.append(np.median(grey))
+        bright.append(np.percentile(grey, 95))
+    level = float(np.median(middle))
+    top = float(np.median(bright))
+    return min(0.18 / level if level > 0 else np.inf, 0.8 / top) if top > 0 else 1.0
 
 
 def _radiance(stage: StageRun, file: str) -> NDArray[np.float32]:

@@ -19,7 +19,7 @@ class PosesParameters:
         default="auto", metadata={"help": "image pairs to match: all, neighbours by name, or all up to 150 views"}
     )
     max_size: int = field(default=1600, metadata={"help": "features are found at this longer side (px)"})
-    features: int = field(default=6000, metadata={"help": "features per image at most"})
+    features: int = field(default=4096, metadata={"help": "features per image at most"})
     focal_px: float | None = field(default=None, metadata={"help": "known focal length, kept (px); none: found"})
     refine_focal: bool = field(default=True, metadata={"help": "refine the focal length where it is not known"})
     rig: Literal["auto", "no"] = field(
