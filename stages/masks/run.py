@@ -9,12 +9,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.cameras import Camera
+from pipeline.capture.files import some
 from pipeline.errors import UserError
 from pipeline.images import read_image, write_png
 from pipeline.stage import StageRun
 from stages.masks.stage import choose_method
 
 THRESHOLD = 127
+CHECK_SIZE = 240
 
 
 def make_masks(stage: StageRun) -> None:
@@ -30,11 +33,47 @@ def make_masks(stage: StageRun) -> None:
     for name, mask in sorted(pixels.items()):
         write_png(stage.output / f"{name}.png", mask)
         views[name] = {"method": methods[name], "coverage": float((mask > THRESHOLD).mean())}
+    if stage.parameters.hull_check and stage.capture.kind == "multiview":
+        flag_disagreement(stage, pixels, views)
     empty = [name for name in sorted(views) if views[name]["coverage"] == 0]
     if empty:
         stage.warn(f"{stage.output.name}: the object was not found in {', '.join(empty[:4])}: these views are black")
     table = {"schema": 1, "method": method, "reason": reason, "views": views}
     (stage.output / "masks.json").write_text(json.dumps(table, indent=1) + "\n", encoding="utf-8")
+
+
+def flag_disagreement(stage: StageRun, masks: dict[str, NDArray[np.uint8]], views: dict[str, dict[str, Any]]) -> None:
+    """Hold the masks against each other's visual hull; tell the user of those that do not fit."""
+    from stages.masks.segment import cameras_of
+
+    cameras = cameras_of(stage)
+    names = [name for name in sorted(masks) if name in cameras and (masks[name] > THRESHOLD).any()]
+    if len(names) < 3:
+        return
+    from stages.masks.hull_check import check_masks_agree
+
+    small = [shrunk(masks[name], cameras[name]) for name in names]
+    agreement = check_masks_agree([mask for mask, _ in small], [camera for _, camera in small])
+    if agreement is None:
+        return
+    for name, found in zip(names, agreement):
+        views[name].update(hull_excess=found.excess, hull_blame=found.blame, suspicious=found.suspicious)
+    flagged = [name for name, found in zip(names, agreement) if found.suspicious]
+    # A flag is only worth a line where most masks agree: else the cameras or the object's stillness are at fault.
+    if flagged and len(flagged) <= len(names) // 2:
+        stage.warn(
+            f"{stage.capture.root}: masks that disagree with the visual hull of the others: {some(flagged)}; look at them"
+        )
+    elif flagged:
+        stage.warn(f"{stage.capture.root}: most masks disagree with each other: are cameras and masks of the same views?")
+
+
+def shrunk(mask: NDArray[np.uint8], camera: Camera) -> tuple[NDArray[np.bool_], Camera]:
+    """Mask and camera at a size that the check's voxels resolve."""
+    step = max(1, round(max(mask.shape) / CHECK_SIZE))
+    part = mask[: mask.shape[0] // step * step, : mask.shape[1] // step * step]
+    small = part.reshape(part.shape[0] // step, step, -1, step).mean((1, 3)) > THRESHOLD
+    return small, camera.resized(small.shape[1], small.shape[0]) if step > 1 else camera
 
 
 def given_mask(path: Path) -> NDArray[np.uint8]:

@@ -19,7 +19,7 @@ def segment_views(
     stage: StageRun, missing: list[str], method: str, known: dict[str, tuple[NDArray[np.uint8], str]]
 ) -> dict[str, NDArray[np.uint8]]:
     """Masks 0/255 by VIEW for the `missing` views; `known` ones help. Raises UserError where a method lacks its input."""
-    cameras = _cameras(stage)
+    cameras = cameras_of(stage)
     if method == "clean_plate":
         from stages.masks.clean_plate import by_clean_plate
 
@@ -67,7 +67,8 @@ def frame_s0(stage: StageRun, view: str) -> NDArray[np.float32]:
     return np.maximum(read_image(path, ("S0.R", "S0.G", "S0.B") if stokes else ("R", "G", "B")), 0)
 
 
-def _cameras(stage: StageRun) -> dict[str, Camera]:
+def cameras_of(stage: StageRun) -> dict[str, Camera]:
+    """The poses stage's cameras by VIEW; empty without any."""
     if "poses" not in stage.inputs or not (stage.inputs["poses"] / "cameras.json").is_file():
         return {}
     return load_cameras(stage.inputs["poses"] / "cameras.json")
