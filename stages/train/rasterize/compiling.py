@@ -18,12 +18,20 @@ def _digest() -> str:
 _STAMP = _digest()
 
 
-def kernel(function: Callable[..., Any]) -> Any:
+def kernel(function: Callable[..., Any], *, allocates: bool = False) -> Any:
     """njit without the GIL, without Python's division checks, cached on disk.
+
+    Unless it allocates, without reference counts too: an atomic count for every view of an array, shared by the threads,
+    took two fifths of the backward pass.
 
     numba drops a cached kernel only when the kernel's own file changed, though constants and inlined helpers come from
     others: the stamp is over the folder instead.
     """
-    compiled: Any = njit(cache=True, nogil=True, error_model="numpy")(function)
+    compiled: Any = njit(cache=True, nogil=True, error_model="numpy", _nrt=allocates)(function)
     compiled._cache._cache_file._source_stamp = _STAMP
     return compiled
+
+
+def allocating_kernel(function: Callable[..., Any]) -> Any:
+    """A kernel that may make arrays."""
+    return kernel(function, allocates=True)

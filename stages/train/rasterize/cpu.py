@@ -13,13 +13,13 @@ import torch
 from torch import Tensor
 
 from . import constants as k
-from .kernel_backward import tiles_backward
+from .kernel_backward import backward_room, slot_width, tiles_backward
 from .kernel_bin import bin_splats, depth_order
-from .kernel_block import TILE
-from .kernel_forward import blend_tiles
-from .kernel_project import BOTTOM, CULLED, G_GEO, GEO, LEFT, RIGHT, STATE, TOP, project, project_backward
+from .kernel_block import BLOCKS, CHANNELS, GROUP, TILE
+from .kernel_forward import blend_tiles, forward_room
+from .kernel_project import BOTTOM, CULLED, GEO, LEFT, RIGHT, STATE, TOP, project, project_backward
 from .raster import Raster
-from .threads import run_on_all_cores
+from .threads import row_buffers, run_on_all_cores
 
 
 def rasterize_cpu(
@@ -101,51 +101,56 @@ class _Rasterize(torch.autograd.Function):
         arrays = [_array(t) for t in inputs]
         count, channels = arrays[-1].shape
         geo = np.zeros((count, GEO), np.float32)
-        attributes = np.empty((count, channels + 3), np.float32)
+        attributes = np.zeros((count, -(-(channels + 3) // GROUP) * GROUP), np.float32)
         near = view.near_plane(arrays[0])
         run_on_all_cores(project, *arrays, view.camera, view.lens, near, view.screen_filter, geo, attributes)
-        order = depth_order(geo)
-        pairs = bin_splats(geo, order, view.wanted_tiles(), view.width, view.height)
+        pairs = bin_splats(geo, depth_order(geo), view.wanted_tiles(), view.width, view.height)
         tile_start, pair_splat, pair_slot, slot_start = pairs
-        image = np.zeros((view.height, view.width, channels + 3), np.float32)
+        blended = np.zeros((view.height, view.width, channels), np.float32)
+        normal = np.zeros((view.height, view.width, 3), np.float32)
         scalars = np.zeros((4, view.height, view.width), np.float32)
         pair_weight = np.zeros(len(pair_slot), np.float32)
         tile_used = np.zeros(len(tile_start) - 1, np.int64)
+        tile_state = np.empty((len(tile_used), BLOCKS * BLOCKS, CHANNELS), np.float32)
         run_on_all_cores(
             blend_tiles, tile_start, pair_splat, pair_slot, geo, attributes, view.mask, view.screen,
-            image, scalars, pair_weight, tile_used,
+            blended, normal, scalars, pair_weight, tile_used, tile_state, row_buffers(forward_room(attributes.shape[1])),
         )  # fmt: skip
         view.measure_radii(geo)
         seen = np.flatnonzero(np.diff(slot_start))
         if len(seen):
             view.visible[seen] = np.maximum.reduceat(pair_weight, slot_start[seen])
-        ctx.view, ctx.pairs, ctx.tile_used, ctx.geo, ctx.attributes = view, pairs, tile_used, geo, attributes
+        ctx.view, ctx.pairs, ctx.tiles, ctx.splats = view, pairs, (tile_used, tile_state), (geo, attributes)
         ctx.save_for_backward(*inputs)
         ctx.set_materialize_grads(False)
-        blended = torch.from_numpy(image)
-        return blended[..., :channels], blended[..., channels:], *torch.from_numpy(scalars).unbind(0)
+        return tuple(torch.from_numpy(a) for a in (blended, normal, *scalars))
 
     @staticmethod
     def backward(ctx: Any, *cotangents: Tensor | None) -> tuple[Tensor | None, ...]:
         view: _View = ctx.view
-        means, quats, scales, opacities, features = (_array(t) for t in ctx.saved_tensors)
+        arrays = [_array(t) for t in ctx.saved_tensors]
+        means, quats, scales = arrays[:3]
         tile_start, pair_splat, pair_slot, slot_start = ctx.pairs
-        channels = features.shape[1]
-        d_image = np.zeros((view.height, view.width, channels + 3), np.float32)
-        d_scalars = np.zeros((4, view.height, view.width), np.float32)
-        places = (d_image[..., :channels], d_image[..., channels:], *d_scalars)
-        for place, cotangent in zip(places, cotangents, strict=True):
+        tile_used, tile_state = ctx.tiles
+        geo, attributes = ctx.splats
+        size = (view.height, view.width)
+        d_features, d_normal, *_ = (
+            np.zeros((*size, depth), np.float32) if cotangent is None else _array(cotangent)
+            for depth, cotangent in zip((arrays[-1].shape[1], 3), cotangents)
+        )
+        d_scalars = np.zeros((4, *size), np.float32)
+        for plane, cotangent in zip(d_scalars, cotangents[2:], strict=True):
             if cotangent is not None:
-                place[...] = cotangent.numpy()
-        slots = np.zeros((len(pair_slot), G_GEO + channels + 3), np.float32)
+                plane[...] = cotangent.numpy()
+        slots = np.empty((len(pair_slot), slot_width(attributes.shape[1])), np.float32)
         run_on_all_cores(
-            tiles_backward, tile_start, ctx.tile_used, pair_splat, pair_slot, ctx.geo, ctx.attributes, view.mask,
-            view.screen, d_image, d_scalars, slots,
+            tiles_backward, tile_start, tile_used, tile_state, pair_splat, pair_slot, geo, attributes, view.screen,
+            bool(d_scalars[3].any()), d_features, d_normal, d_scalars, slots, row_buffers(backward_room(attributes.shape[1])),
         )  # fmt: skip
-        gradients = [np.zeros_like(a) for a in (means, quats, scales, opacities, features)]
+        gradients = [np.zeros_like(a) for a in arrays]
         view.screen_gradient[:] = 0
         run_on_all_cores(
-            project_backward, means, quats, scales, view.camera, view.lens, ctx.geo, slot_start, slots,
-            *gradients, view.screen_gradient,
+            project_backward, means, quats, scales, view.camera, view.lens, geo, slot_start, slots,
+            *gradients, view.screen_gradient, row_buffers(slots.shape[1]),
         )  # fmt: skip
         return None, *(torch.from_numpy(g) for g in gradients)

@@ -1,8 +1,9 @@
-"""Numba: gradients of every tile. Each tile is blended again into a list of blocks, then walked back to front.
+"""Numba: gradients of every tile, back to front.
 
 With c_i the derivative by the weight of splat i at a pixel and B_i what lies behind it, dL/dalpha_i = T_i (c_i - B_i) and
-B_(i-1) = alpha_i c_i + (1 - alpha_i) B_i: no division by 1 - alpha. A (tile, splat) pair writes one slot of its own, so
-the sums are in one fixed order whatever the threads do.
+B_(i-1) = alpha_i c_i + (1 - alpha_i) B_i. T_i is found again from the last one, T_i = T_(i+1) / (1 - alpha_i): alpha is at
+most ALPHA_MAX, and rounding adds up to 1e-7 a splat. A (tile, splat) pair writes one slot of its own, so the sums are in
+one fixed order whatever the threads do.
 """
 
 from __future__ import annotations
@@ -11,207 +12,246 @@ import numpy as np
 
 from .compiling import kernel
 from .kernel_block import (
+    AHEAD,
     ALPHA_MAX,
+    ALPHA_MIN,
     BLOCK,
     BLOCKS,
     CHANNELS,
+    CUTOFF_RHO,
+    END,
+    GROUP,
     HALF,
+    MEDIAN,
     MOMENT1,
     MOMENT2,
     ONE,
-    PIXELS,
     TILE,
     TRANSMITTANCE,
     TWO,
     ZERO,
-    blend_block,
     block_range,
+    capped_alpha,
     intersect,
     pixel_place,
-    start_tile,
+    prefetch_splat,
 )
-from .kernel_forward import open_blocks
 from .kernel_project import G_GEO, OPACITY, QX, QY, UX, UY, VX, VY, Z
-from .simd import LANES, absolute, load, maximum, select, spread, store, take_ticket, total
+from .simd import LANES, absolute, any_lane, largest, load, select, spread, store, store_totals, take_ticket, value
 
 _f = np.float32
 
-# planes after the attributes: cotangents of alpha, expected depth, median depth, distortion; what lies behind
-ALPHA_PLANE, EXPECTED_PLANE, MEDIAN_PLANE, DISTORTION_PLANE, BEHIND = range(5)
-EXTRA = 5
+# Rows of a block after the cotangents of its attributes: cotangents of alpha, expected depth, median depth and distortion,
+# and what lies behind. Of the forward pass's rows, MEDIAN holds the pixel's final alpha here.
+BY_ALPHA, BY_EXPECTED, BY_MEDIAN, BY_DISTORTION, BEHIND = (LANES * i for i in range(5))
+EXTRA = 5 * LANES
+FINAL_ALPHA = MEDIAN
 
 
-@kernel
-def replay_tile(
-    buffer: np.ndarray,
-    is_open: np.ndarray,
-    splats: np.ndarray,
-    geo: np.ndarray,
-    left: int,
-    top: int,
-    screen: float,
-    blended: np.ndarray,
-    block_of: np.ndarray,
-    pair_end: np.ndarray,
-) -> None:
-    """Blend a tile again, listing each blended block's alpha and transmittance before (blended, 2 LANES an entry), its
-    place (block_of) and, by pair, the end of its entries (pair_end)."""
-    open_blocks(buffer, is_open)
-    z_ref = geo[splats[0], Z]
-    count = 0
-    for p in range(len(splats)):
-        g = geo[splats[p]]
-        b0, b1, c0, c1 = block_range(g, left, top)
-        for line in range(c0, c1):
-            for column in range(b0, b1):
-                block = line * BLOCKS + column
-                if not is_open[block]:
-                    continue
-                x0, y0 = _f(left + column * BLOCK) + HALF, _f(top + line * BLOCK) + HALF
-                hit, still_open, alpha, before = blend_block(buffer, g, block, x0, y0, z_ref, screen)
-                if hit:
-                    store(blended, 2 * LANES * count, alpha)
-                    store(blended, 2 * LANES * count + LANES, before)
-                    block_of[count] = block
-                    count += 1
-                    is_open[block] = still_open
-        pair_end[p] = count
+def backward_room(attributes: int) -> int:
+    """Floats of workspace `tiles_backward` needs per thread."""
+    return BLOCKS * BLOCKS * (CHANNELS + attributes * LANES + EXTRA + LANES + 2)
+
+
+def slot_width(attributes: int) -> int:
+    """Floats of a gradient slot: G_GEO and the attributes, filled up to whole rows."""
+    return -(-(G_GEO + attributes) // LANES) * LANES
 
 
 @kernel
 def pair_backward(
     buffer: np.ndarray,
+    stride: int,
+    weights: np.ndarray,
+    places: np.ndarray,
+    block_end: np.ndarray,
     g: np.ndarray,
     attribute: np.ndarray,
-    blended: np.ndarray,
-    block_of: np.ndarray,
-    first: int,
-    last: int,
+    place: int,
     left: int,
     top: int,
     z_ref: float,
     screen: float,
-    slot: np.ndarray,
+    with_distortion: bool,
+    slots: np.ndarray,
+    slot: int,
 ) -> None:
-    """Gradients of one splat in one tile, over its blended blocks first..last. slot [G_GEO + A]"""
+    """Gradients of the splat at `place` of a tile's list, to slots[slot : slot + G_GEO + A].
+
+    weights [BLOCKS^2 LANES], places [BLOCKS^2]: room for the splat's weights and the blocks they belong to.
+    """
     channels = len(attribute)
-    extra = CHANNELS + channels * PIXELS
+    count = 0
+    here = _f(place)
     sum_ux = sum_uy = sum_vx = sum_vy = sum_qx = sum_qy = spread(ZERO)
     sum_cx = sum_cy = sum_z = sum_log = sum_ax = sum_ay = spread(ZERO)
-    for j in range(first, last):
-        block = block_of[j]
-        at = block * LANES
-        alpha, before = load(blended, 2 * LANES * j), load(blended, 2 * LANES * j + LANES)
-        x0 = _f(left + block % BLOCKS * BLOCK) + HALF
-        y0 = _f(top + block // BLOCKS * BLOCK) + HALF
-        dx, dy, u, v, inverse, _, on_screen = intersect(g, x0, y0, screen)
-        hit = alpha > ZERO
-        weight = alpha * before
-        after = before * (ONE - alpha)
-        z = select(on_screen, g[Z], g[Z] * inverse)
+    b0, b1, c0, c1 = block_range(g, left, top)
+    for line in range(c0, c1):
+        for column in range(b0, b1):
+            block = line * BLOCKS + column
+            if here >= value(block_end, block):
+                continue
+            x0, y0 = _f(left + column * BLOCK) + HALF, _f(top + line * BLOCK) + HALF
+            dx, dy, u, v, inverse, rho, on_screen = intersect(g, x0, y0, screen)
+            inside = rho <= CUTOFF_RHO
+            if not any_lane(inside):
+                continue
+            at = block * stride
+            alpha = capped_alpha(g[OPACITY], rho)
+            hit = inside & (alpha >= ALPHA_MIN) & (load(buffer, at + END) > here)
+            if not any_lane(hit):
+                continue
+            alpha = select(hit, alpha, ZERO)
+            after = load(buffer, at + TRANSMITTANCE)
+            before = after / (ONE - alpha)
+            weight = alpha * before
+            store(buffer, at + TRANSMITTANCE, before)
+            store(weights, count * LANES, weight)
+            places[count] = at + CHANNELS
+            count += 1
 
-        far = z - z_ref
-        g_depth = load(buffer, extra + EXPECTED_PLANE * PIXELS + at)
-        g_spread = load(buffer, extra + DISTORTION_PLANE * PIXELS + at)
-        final = load(buffer, TRANSMITTANCE + at)
-        lean = (ONE - maximum(final, ZERO - final)) * far - load(buffer, MOMENT1 + at)
-        by_weight = load(buffer, extra + ALPHA_PLANE * PIXELS + at) + z * g_depth
-        by_weight += g_spread * (load(buffer, MOMENT2 + at) + far * (lean - load(buffer, MOMENT1 + at)))
-        for c in range(channels):
-            by_weight += load(buffer, CHANNELS + c * PIXELS + at) * attribute[c]
+            z = select(on_screen, g[Z], g[Z] * inverse)
+            extra = at + CHANNELS + channels * LANES
+            d_z_by_weight = load(buffer, extra + BY_EXPECTED)
+            c_0 = load(buffer, extra + BY_ALPHA) + z * d_z_by_weight
+            c_1 = c_2 = c_3 = spread(ZERO)
+            for c in range(0, channels, GROUP):
+                row = at + CHANNELS + c * LANES
+                c_0 += load(buffer, row) * value(attribute, c)
+                c_1 += load(buffer, row + LANES) * value(attribute, c + 1)
+                c_2 += load(buffer, row + 2 * LANES) * value(attribute, c + 2)
+                c_3 += load(buffer, row + 3 * LANES) * value(attribute, c + 3)
+            if with_distortion:
+                far = z - z_ref
+                m1 = load(buffer, at + MOMENT1)
+                lean = load(buffer, at + FINAL_ALPHA) * far - m1
+                by_distortion = load(buffer, extra + BY_DISTORTION)
+                d_z_by_weight += TWO * by_distortion * lean
+                c_1 += by_distortion * (load(buffer, at + MOMENT2) + far * (lean - m1))
+            by_weight = (c_0 + c_1) + (c_2 + c_3)
+            behind = load(buffer, extra + BEHIND)
+            d_alpha = before * (by_weight - behind)
+            store(buffer, extra + BEHIND, behind + alpha * (by_weight - behind))
+            halves = hit & (before > HALF) & (after <= HALF)
+            d_z = weight * d_z_by_weight + select(halves, load(buffer, extra + BY_MEDIAN), ZERO)
 
-        behind = load(buffer, extra + BEHIND * PIXELS + at)
-        d_alpha = before * (by_weight - behind)
-        store(buffer, extra + BEHIND * PIXELS + at, alpha * by_weight + (ONE - alpha) * behind)
-        halves = hit & (before > HALF) & (after <= HALF)
-        d_z = weight * (g_depth + TWO * g_spread * lean)
-        d_z += select(halves, load(buffer, extra + MEDIAN_PLANE * PIXELS + at), ZERO)
+            d_log = select(hit & (alpha < ALPHA_MAX), d_alpha * alpha, ZERO)  # by log of opacity * kernel
+            on_plane = select(on_screen, ZERO, inverse)
+            d_u = select(hit, ZERO - u * d_log * on_plane, ZERO)
+            d_v = select(hit, ZERO - v * d_log * on_plane, ZERO)
+            d_z_plane = d_z * on_plane
+            d_q = select(hit, ZERO - d_u * u - d_v * v - d_z_plane * z, ZERO)
+            pull = select(on_screen, screen * d_log, ZERO)
+            d_cx = dx * pull - d_u * g[UX] - d_v * g[VX] - d_q * g[QX]
+            d_cy = dy * pull - d_u * g[UY] - d_v * g[VY] - d_q * g[QY]
+            sum_ux += d_u * dx
+            sum_uy += d_u * dy
+            sum_vx += d_v * dx
+            sum_vy += d_v * dy
+            sum_qx += d_q * dx
+            sum_qy += d_q * dy
+            sum_cx += d_cx
+            sum_cy += d_cy
+            sum_z += select(on_screen, d_z, d_z_plane)
+            sum_log += d_log
+            sum_ax += absolute(d_cx)
+            sum_ay += absolute(d_cy)
+    store_totals(slots, slot, sum_ux, sum_uy, sum_vx, sum_vy)
+    store_totals(slots, slot + 4, sum_qx, sum_qy, sum_cx, sum_cy)
+    store_totals(slots, slot + 8, sum_z, sum_log / g[OPACITY], sum_ax, sum_ay)
+    for c in range(0, channels, GROUP):
+        s_0 = s_1 = s_2 = s_3 = spread(ZERO)
+        for j in range(count):
+            weight = load(weights, j * LANES)
+            row = int(value(places, j)) + c * LANES
+            s_0 += weight * load(buffer, row)
+            s_1 += weight * load(buffer, row + LANES)
+            s_2 += weight * load(buffer, row + 2 * LANES)
+            s_3 += weight * load(buffer, row + 3 * LANES)
+        store_totals(slots, slot + G_GEO + c, s_0, s_1, s_2, s_3)
 
-        d_log = select(hit & (alpha < ALPHA_MAX), d_alpha * alpha, ZERO)  # by log of opacity * kernel
-        step = select(on_screen, ZERO, ZERO - d_log * inverse)
-        d_u, d_v = select(hit, u * step, ZERO), select(hit, v * step, ZERO)
-        d_z_object = select(on_screen, ZERO, d_z * inverse)
-        d_q = select(hit, ZERO - d_u * u - d_v * v - d_z_object * z, ZERO)
-        pull = select(on_screen, screen * d_log, ZERO)
-        d_cx = dx * pull - d_u * g[UX] - d_v * g[VX] - d_q * g[QX]
-        d_cy = dy * pull - d_u * g[UY] - d_v * g[VY] - d_q * g[QY]
-        sum_ux += d_u * dx
-        sum_uy += d_u * dy
-        sum_vx += d_v * dx
-        sum_vy += d_v * dy
-        sum_qx += d_q * dx
-        sum_qy += d_q * dy
-        sum_cx += d_cx
-        sum_cy += d_cy
-        sum_z += select(on_screen, d_z, d_z_object)
-        sum_log += d_log
-        sum_ax += absolute(d_cx)
-        sum_ay += absolute(d_cy)
-    slot[0], slot[1], slot[2], slot[3] = total(sum_ux), total(sum_uy), total(sum_vx), total(sum_vy)
-    slot[4], slot[5], slot[6], slot[7] = total(sum_qx), total(sum_qy), total(sum_cx), total(sum_cy)
-    slot[8], slot[9] = total(sum_z), total(sum_log) / g[OPACITY]
-    slot[10], slot[11] = total(sum_ax), total(sum_ay)
-    for c in range(channels):
-        sum_c = spread(ZERO)
-        for j in range(first, last):
-            weight = load(blended, 2 * LANES * j) * load(blended, 2 * LANES * j + LANES)
-            sum_c += weight * load(buffer, CHANNELS + c * PIXELS + block_of[j] * LANES)
-        slot[G_GEO + c] = total(sum_c)
+
+@kernel
+def read_tile(
+    buffer: np.ndarray,
+    stride: int,
+    block_end: np.ndarray,
+    state: np.ndarray,
+    left: int,
+    top: int,
+    d_features: np.ndarray,
+    d_normal: np.ndarray,
+    d_scalars: np.ndarray,
+) -> None:
+    """Lay out a tile's final state and cotangents, and the place in its list where each block is finished (block_end)."""
+    height, width, channels = d_features.shape
+    extra = stride - EXTRA
+    for block in range(BLOCKS * BLOCKS):
+        at = block * stride
+        for i in range(CHANNELS):
+            buffer[at + i] = state[block, i]
+        for i in range(CHANNELS, stride):
+            buffer[at + i] = ZERO
+        final = absolute(load(buffer, at + TRANSMITTANCE))
+        store(buffer, at + TRANSMITTANCE, final)
+        store(buffer, at + FINAL_ALPHA, ONE - final)
+        block_end[block] = largest(load(buffer, at + END))
+    for line in range(min(TILE, height - top)):
+        for column in range(min(TILE, width - left)):
+            y, x = top + line, left + column
+            at = pixel_place(line, column, stride)
+            for c in range(channels):
+                buffer[at + CHANNELS + c * LANES] = d_features[y, x, c]
+            for c in range(3):
+                buffer[at + CHANNELS + (channels + c) * LANES] = d_normal[y, x, c]
+            for c in range(4):
+                buffer[at + extra + c * LANES] = d_scalars[c, y, x]
 
 
 @kernel
 def tiles_backward(
-    counter: np.ndarray,
+    counters: np.ndarray,
     tile_start: np.ndarray,
     tile_used: np.ndarray,
+    tile_state: np.ndarray,
     pair_splat: np.ndarray,
     pair_slot: np.ndarray,
     geo: np.ndarray,
     attributes: np.ndarray,
-    mask: np.ndarray,
     screen: float,
-    d_image: np.ndarray,
+    with_distortion: bool,
+    d_features: np.ndarray,
+    d_normal: np.ndarray,
     d_scalars: np.ndarray,
     slots: np.ndarray,
+    workspace: np.ndarray,
 ) -> None:
-    """Fill slots [S, G_GEO + A] from the cotangents d_image [H, W, A] and d_scalars [4, H, W]."""
-    height, width, channels = d_image.shape
-    columns = (width + TILE - 1) // TILE
-    extra = CHANNELS + channels * PIXELS
-    buffer = np.empty(extra + EXTRA * PIXELS, np.float32)
-    is_open = np.empty(BLOCKS * BLOCKS, np.bool_)
-    longest = 0
-    for tile in range(len(tile_used)):
-        longest = max(longest, tile_used[tile])
-    blended = np.empty(longest * BLOCKS * BLOCKS * 2 * LANES, np.float32)
-    block_of = np.empty(longest * BLOCKS * BLOCKS, np.uint8)
-    pair_end = np.empty(longest, np.int64)
+    """Fill slots [S, slot_width(A)] from the cotangents d_features [H, W, C], d_normal [H, W, 3], d_scalars [4, H, W]."""
+    columns = (d_features.shape[1] + TILE - 1) // TILE
+    channels = attributes.shape[1]
+    stride = CHANNELS + channels * LANES + EXTRA
+    buffer = workspace[take_ticket(counters, 1)]
+    weights = buffer[BLOCKS * BLOCKS * stride :]
+    block_end = weights[BLOCKS * BLOCKS * LANES :]
+    places = block_end[BLOCKS * BLOCKS :]
     while True:
-        tile = take_ticket(counter)
+        tile = take_ticket(counters, 0)
         if tile >= len(tile_start) - 1:
             return
         first, used = tile_start[tile], tile_used[tile]
+        for p in range(first + used, tile_start[tile + 1]):
+            for c in range(0, slots.shape[1], LANES):
+                store(slots, pair_slot[p] * slots.shape[1] + c, spread(ZERO))
         if used == 0:
             continue
         left, top = (tile % columns) * TILE, (tile // columns) * TILE
-        start_tile(buffer, mask, left, top, channels + EXTRA)
-        for line in range(min(TILE, height - top)):
-            for column in range(min(TILE, width - left)):
-                y, x = top + line, left + column
-                if mask[y, x]:
-                    at = pixel_place(line, column)
-                    for c in range(channels):
-                        buffer[CHANNELS + c * PIXELS + at] = d_image[y, x, c]
-                    for c in range(4):
-                        buffer[extra + c * PIXELS + at] = d_scalars[c, y, x]
-        splats = pair_splat[first : first + used]
-        replay_tile(buffer, is_open, splats, geo, left, top, screen, blended, block_of, pair_end)
-        z_ref = geo[splats[0], Z]
-        for p in range(used - 1, -1, -1):
-            begin = pair_end[p - 1] if p else 0
-            if begin < pair_end[p]:
-                s = splats[p]
-                pair_backward(
-                    buffer, geo[s], attributes[s], blended, block_of, begin, pair_end[p], left, top, z_ref, screen,
-                    slots[pair_slot[first + p]],
-                )  # fmt: skip
+        read_tile(buffer, stride, block_end, tile_state[tile], left, top, d_features, d_normal, d_scalars)
+        z_ref = geo[pair_splat[first], Z]
+        for place in range(used - 1, -1, -1):
+            s = pair_splat[first + place]
+            prefetch_splat(geo, attributes, pair_splat[first + max(place - AHEAD, 0)])
+            slot = pair_slot[first + place] * slots.shape[1]
+            pair_backward(
+                buffer, stride, weights, places, block_end, geo[s], attributes[s], place, left, top, z_ref, screen,
+                with_distortion, slots, slot,
+            )  # fmt: skip

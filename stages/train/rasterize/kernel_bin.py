@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
-from .compiling import kernel
+from .compiling import allocating_kernel, kernel
 from .kernel_block import TILE
 from .kernel_project import BOTTOM, CULLED, LEFT, RIGHT, STATE, TOP, Z
 
 DIGIT = 11  # bits a radix pass sorts by: three passes cover 32 bits, and the histogram stays in the L1 cache
 
 
-@kernel
+@allocating_kernel
 def depth_order(geo: np.ndarray) -> np.ndarray:
     """Indices of the splats not culled, nearest centre first; equal depths keep their input order. [M] int32"""
     count = 0
@@ -51,14 +49,16 @@ def depth_order(geo: np.ndarray) -> np.ndarray:
 @kernel
 def tile_range(low: float, high: float, size: int, tile: int) -> tuple:
     """First and last + 1 tile whose pixel centres (at +0.5) can lie in [low, high]; empty where none does."""
-    first = math.ceil(max(low - np.float32(0.5), np.float32(0)))
-    last = math.floor(min(high - np.float32(0.5), np.float32(size - 1)))
+    first = max(low - np.float32(0.5), np.float32(0))
+    last = min(high - np.float32(0.5), np.float32(size - 1))
     if not last >= first:
         return 0, 0
-    return int(first) // tile, int(last) // tile + 1
+    pixel = int(first)
+    pixel += pixel < first  # rounded up; both are >= 0
+    return pixel // tile, int(last) // tile + 1
 
 
-@kernel
+@allocating_kernel
 def bin_splats(geo: np.ndarray, order: np.ndarray, wanted: np.ndarray, width: int, height: int) -> tuple:
     """Pairs (tile, splat) in tile order, front to back.
 

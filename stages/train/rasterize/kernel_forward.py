@@ -6,6 +6,7 @@ import numpy as np
 
 from .compiling import kernel
 from .kernel_block import (
+    AHEAD,
     BLOCK,
     BLOCKS,
     CHANNELS,
@@ -14,34 +15,69 @@ from .kernel_block import (
     MOMENT1,
     MOMENT2,
     ONE,
-    PIXELS,
     TILE,
     TRANSMITTANCE,
     ZERO,
     blend_block,
     block_range,
     pixel_place,
+    prefetch_splat,
     start_tile,
 )
 from .kernel_project import Z
-from .simd import LANES, any_lane, largest, load, maximum, spread, store, take_ticket
+from .simd import LANES, any_lane, largest, load, maximum, spread, store, take_ticket, value
 
 _f = np.float32
 
 
+def forward_room(attributes: int) -> int:
+    """Floats of workspace `blend_tiles` needs per thread."""
+    return BLOCKS * BLOCKS * (CHANNELS + attributes * LANES + 1)
+
+
 @kernel
-def open_blocks(buffer: np.ndarray, is_open: np.ndarray) -> int:
-    """Mark the blocks with unfinished pixels; returns how many there are. is_open [BLOCKS^2] bool"""
+def open_blocks(buffer: np.ndarray, stride: int, is_open: np.ndarray) -> int:
+    """Mark the blocks with unfinished pixels; returns how many there are. is_open [BLOCKS^2] 1 or 0"""
     count = 0
     for block in range(BLOCKS * BLOCKS):
-        is_open[block] = any_lane(load(buffer, TRANSMITTANCE + block * LANES) > ZERO)
-        count += is_open[block]
+        still_open = any_lane(load(buffer, block * stride + TRANSMITTANCE) > ZERO)
+        is_open[block] = ONE if still_open else ZERO
+        count += still_open
     return count
 
 
 @kernel
+def write_tile(
+    buffer: np.ndarray,
+    stride: int,
+    left: int,
+    top: int,
+    z_ref: float,
+    features: np.ndarray,
+    normal: np.ndarray,
+    scalars: np.ndarray,
+) -> None:
+    """Copy a finished tile to the images."""
+    height, width, channels = features.shape
+    for line in range(min(TILE, height - top)):
+        for column in range(min(TILE, width - left)):
+            at = pixel_place(line, column, stride)
+            y, x = top + line, left + column
+            for c in range(channels):
+                features[y, x, c] = buffer[at + CHANNELS + c * LANES]
+            for c in range(3):
+                normal[y, x, c] = buffer[at + CHANNELS + (channels + c) * LANES]
+            alpha = ONE - abs(buffer[at + TRANSMITTANCE])
+            m1, m2 = buffer[at + MOMENT1], buffer[at + MOMENT2]
+            scalars[0, y, x] = alpha
+            scalars[1, y, x] = m1 + z_ref * alpha
+            scalars[2, y, x] = buffer[at + MEDIAN]
+            scalars[3, y, x] = max(alpha * m2 - m1 * m1, ZERO)
+
+
+@kernel
 def blend_tiles(
-    counter: np.ndarray,
+    counters: np.ndarray,
     tile_start: np.ndarray,
     pair_splat: np.ndarray,
     pair_slot: np.ndarray,
@@ -49,64 +85,63 @@ def blend_tiles(
     attributes: np.ndarray,
     mask: np.ndarray,
     screen: float,
-    image: np.ndarray,
+    features: np.ndarray,
+    normal: np.ndarray,
     scalars: np.ndarray,
     pair_weight: np.ndarray,
     tile_used: np.ndarray,
+    tile_state: np.ndarray,
+    workspace: np.ndarray,
 ) -> None:
-    """Fill image [H, W, A], scalars [4, H, W] (alpha, expected and median depth, distortion), pair_weight [S] (largest
-    weight, by slot) and tile_used [tiles] (pairs until every pixel was finished)."""
-    height, width, channels = image.shape
+    """Fill the images features [H, W, C], normal [H, W, 3], scalars [4, H, W] (alpha, expected and median depth,
+    distortion), pair_weight [S] (largest weight, by slot), tile_used [tiles] (pairs until every pixel was finished) and
+    tile_state [tiles, BLOCKS^2, CHANNELS] (the blocks' rows at the end, for `kernel_backward`)."""
+    width = features.shape[1]
     columns = (width + TILE - 1) // TILE
-    buffer = np.empty(CHANNELS + channels * PIXELS, np.float32)
-    is_open = np.empty(BLOCKS * BLOCKS, np.bool_)
+    channels = attributes.shape[1]
+    stride = CHANNELS + channels * LANES
+    buffer = workspace[take_ticket(counters, 1)]
+    is_open = buffer[BLOCKS * BLOCKS * stride :]
     while True:
-        tile = take_ticket(counter)
+        tile = take_ticket(counters, 0)
         if tile >= len(tile_start) - 1:
             return
         first, last = tile_start[tile], tile_start[tile + 1]
         left, top = (tile % columns) * TILE, (tile // columns) * TILE
         if first == last:
             continue
-        start_tile(buffer, mask, left, top, channels)
-        remaining = open_blocks(buffer, is_open)
+        start_tile(buffer, stride, mask, left, top)
+        remaining = open_blocks(buffer, stride, is_open)
         z_ref = geo[pair_splat[first], Z]
         used = last - first
         for p in range(first, last):
             s = pair_splat[p]
             g = geo[s]
+            prefetch_splat(geo, attributes, pair_splat[min(p + AHEAD, last - 1)])
             peak = spread(ZERO)
             b0, b1, c0, c1 = block_range(g, left, top)
             for line in range(c0, c1):
                 for column in range(b0, b1):
                     block = line * BLOCKS + column
-                    if not is_open[block]:
+                    if is_open[block] == ZERO:
                         continue
+                    at = block * stride
                     x0, y0 = _f(left + column * BLOCK) + HALF, _f(top + line * BLOCK) + HALF
-                    hit, still_open, alpha, before = blend_block(buffer, g, block, x0, y0, z_ref, screen)
+                    hit, still_open, weight = blend_block(buffer, at, g, p - first, x0, y0, z_ref, screen)
                     if hit:
-                        weight = alpha * before
                         peak = maximum(peak, weight)
                         for c in range(channels):
-                            at = CHANNELS + c * PIXELS + block * LANES
-                            store(buffer, at, load(buffer, at) + weight * attributes[s, c])
+                            to = at + CHANNELS + c * LANES
+                            store(buffer, to, load(buffer, to) + weight * value(attributes, s * channels + c))
                         if not still_open:
-                            is_open[block] = False
+                            is_open[block] = ZERO
                             remaining -= 1
             pair_weight[pair_slot[p]] = largest(peak)
             if remaining == 0:
                 used = p - first + 1
                 break
         tile_used[tile] = used
-        for line in range(min(TILE, height - top)):
-            for column in range(min(TILE, width - left)):
-                at = pixel_place(line, column)
-                y, x = top + line, left + column
-                for c in range(channels):
-                    image[y, x, c] = buffer[CHANNELS + c * PIXELS + at]
-                alpha_sum = ONE - abs(buffer[TRANSMITTANCE + at])
-                m1, m2 = buffer[MOMENT1 + at], buffer[MOMENT2 + at]
-                scalars[0, y, x] = alpha_sum
-                scalars[1, y, x] = m1 + z_ref * alpha_sum
-                scalars[2, y, x] = buffer[MEDIAN + at]
-                scalars[3, y, x] = max(alpha_sum * m2 - m1 * m1, ZERO)
+        for block in range(BLOCKS * BLOCKS):
+            for i in range(CHANNELS):
+                tile_state[tile, block, i] = buffer[block * stride + i]
+        write_tile(buffer, stride, left, top, z_ref, features, normal, scalars)

@@ -8,7 +8,7 @@ import numpy as np
 
 from . import constants as k
 from .compiling import kernel
-from .simd import take_ticket
+from .simd import LANES, load, spread, store, take_ticket
 
 # columns of the projected record: derivatives of u, v, q by pixel, centre, camera z, opacity, z / near, box, state
 UX, UY, VX, VY, QX, QY, CX, CY, Z, OPACITY, Q_MAX, LEFT, RIGHT, TOP, BOTTOM, STATE = range(16)
@@ -81,7 +81,7 @@ def outline(X: float, z: float, ux: float, uz: float, vx: float, vz: float, r2: 
 
 @kernel
 def project(
-    counter: np.ndarray,
+    counters: np.ndarray,
     means: np.ndarray,
     quats: np.ndarray,
     scales: np.ndarray,
@@ -94,11 +94,11 @@ def project(
     geo: np.ndarray,
     attributes: np.ndarray,
 ) -> None:
-    """Fill geo [N, GEO] and attributes [N, C + 3] (features, normal towards the camera). lens: fx, fy, cx, cy."""
+    """Fill geo [N, GEO] and attributes [N, A >= C + 3] (features, normal towards the camera). lens: fx, fy, cx, cy."""
     fx, fy = lens[0], lens[1]
     count, channels = len(means), features.shape[1]
     while True:
-        start = take_ticket(counter) * CHUNK
+        start = take_ticket(counters, 0) * CHUNK
         if start >= count:
             return
         for s in range(start, min(start + CHUNK, count)):
@@ -149,7 +149,7 @@ def project(
 
 @kernel
 def project_backward(
-    counter: np.ndarray,
+    counters: np.ndarray,
     means: np.ndarray,
     quats: np.ndarray,
     scales: np.ndarray,
@@ -164,23 +164,26 @@ def project_backward(
     d_opacities: np.ndarray,
     d_features: np.ndarray,
     screen_gradient: np.ndarray,
+    workspace: np.ndarray,
 ) -> None:
-    """Sum each splat's gradient records (slots [S, G_GEO + C + 3], in a fixed order) and chain them to the inputs."""
+    """Sum each splat's gradient records (slots [S, multiple of LANES], in a fixed order) and chain them to the inputs."""
     fx, fy = lens[0], lens[1]
-    count, channels, width = len(means), d_features.shape[1], slots.shape[1]
-    total = np.empty(width, np.float32)
+    count, channels = len(means), d_features.shape[1]
+    width = slots.shape[1]
+    total = workspace[take_ticket(counters, 1)]
     R = camera
     while True:
-        start = take_ticket(counter) * CHUNK
+        start = take_ticket(counters, 0) * CHUNK
         if start >= count:
             return
         for s in range(start, min(start + CHUNK, count)):
             if slot_start[s] == slot_start[s + 1]:
                 continue
-            total[:] = 0
+            for c in range(0, width, LANES):
+                store(total, c, spread(0))
             for slot in range(slot_start[s], slot_start[s + 1]):
-                for c in range(width):
-                    total[c] += slots[slot, c]
+                for c in range(0, width, LANES):
+                    store(total, c, load(total, c) + load(slots, slot * width + c))
             d_opacities[s] = total[G_OPACITY]
             screen_gradient[s] = math.sqrt(total[G_ABS_X] ** 2 + total[G_ABS_Y] ** 2)
             for c in range(channels):

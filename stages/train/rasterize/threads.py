@@ -26,10 +26,22 @@ def thread_count() -> int:
 
 
 def run_on_all_cores(kernel: Callable[..., None], *arguments: Any) -> None:
-    """Call kernel(counter, *arguments) once per core; the calls share the work by drawing tickets from counter int64[1]."""
-    counter = np.zeros(1, np.int64)
+    """Call kernel(counters, *arguments) once per core.
+
+    The calls share the work by drawing tickets from counters[0], and tell each other apart by one from counters[1].
+    """
+    counters = np.zeros(2, np.int64)
     helpers = thread_count() - 1
-    futures = [_helpers(helpers).submit(kernel, counter, *arguments) for _ in range(helpers)]
-    kernel(counter, *arguments)
+    futures = [_helpers(helpers).submit(kernel, counters, *arguments) for _ in range(helpers)]
+    kernel(counters, *arguments)
     for future in futures:
         future.result()
+
+
+def row_buffers(size: int) -> np.ndarray:
+    """Uninitialised float32 room of `size` or more for each core, on cache lines. [cores, size']"""
+    line = 64 // 4
+    size = -(-size // line) * line
+    room = np.empty(thread_count() * size + line, np.float32)
+    skip = -(room.ctypes.data // 4) % line
+    return room[skip : skip + thread_count() * size].reshape(thread_count(), size)
