@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +14,9 @@ from pipeline.lights.environment import Y_UP_FROM
 from pipeline.stage import StageRun
 
 from .deferred import Lamp, Surface
+
+if TYPE_CHECKING:
+    from .occlusion import SelfOcclusion
 
 SUPERSAMPLE = 2  # rays across a pixel
 FRAME_MS = 60
@@ -83,8 +87,10 @@ def orbit(cameras: dict[str, Camera], centre: NDArray, up: str, count: int, size
     return out
 
 
-def render(mesh: TexturedMesh, camera: Camera, lamp: Lamp) -> NDArray[np.float32]:
-    """Linear RGB [H, W, 3] of the mesh on black."""
+def render(
+    mesh: TexturedMesh, camera: Camera, lamp: Lamp, name: str = "", occluder: SelfOcclusion | None = None, shadows: Any = None
+) -> NDArray[np.float32]:
+    """Linear RGB [H, W, 3] of the mesh on black; with `occluder` and its light under this map, self-shadowed."""
     fine = camera.resized(camera.width * SUPERSAMPLE, camera.height * SUPERSAMPLE)
     rays = fine.rays().reshape(-1, 3)
     frame_x, frame_y = (f.reshape(-1, 3) for f in fine.stokes_frame())
@@ -92,12 +98,15 @@ def render(mesh: TexturedMesh, camera: Camera, lamp: Lamp) -> NDArray[np.float32
     normal = values[:, :3] / np.linalg.norm(values[:, :3], axis=1, keepdims=True)
     surface = Surface(position, normal, -rays[hit], values[:, 3:], frame_x[hit], frame_y[hit])
     image = np.zeros((len(rays), 3), np.float32)
-    image[hit] = np.nan_to_num(lamp.stokes(surface)[:, 0])
+    occlusion = occluder.at(name, surface, shadows) if occluder is not None else None
+    image[hit] = np.nan_to_num(lamp.stokes(surface, occlusion)[:, 0])
     blocks = image.reshape(camera.height, SUPERSAMPLE, camera.width, SUPERSAMPLE, 3)
     return blocks.mean((1, 3))
 
 
-def write_turntable(run: StageRun, lamp: Lamp, cameras: dict[str, Camera], folder: Path) -> None:
+def write_turntable(
+    run: StageRun, lamp: Lamp, cameras: dict[str, Camera], folder: Path, occluder: SelfOcclusion | None = None
+) -> None:
     """turntable/NNN.png and turntable.webp of one map."""
     from PIL import Image
 
@@ -108,9 +117,10 @@ def write_turntable(run: StageRun, lamp: Lamp, cameras: dict[str, Camera], folde
     centre = (mesh.low + mesh.high) / 2
     p = run.parameters
     frames = []
+    shadows = occluder.under(lamp) if occluder is not None else None
     with run.progress.bar("turntable", total=p.turntable, unit="frames") as bar:
         for k, camera in enumerate(orbit(cameras, centre, lamp.model.up, p.turntable, p.turntable_size)):
-            shown = (srgb_encode(render(mesh, camera, lamp)) * 255 + 0.5).astype(np.uint8)
+            shown = (srgb_encode(render(mesh, camera, lamp, f"turntable {k}", occluder, shadows)) * 255 + 0.5).astype(np.uint8)
             write_png(folder / "turntable" / f"{k:03d}.png", shown)
             frames.append(Image.fromarray(shown))
             bar.advance(1)

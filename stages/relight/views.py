@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,9 @@ from pipeline.stage import StageRun
 
 from .deferred import Lamp, ShadingModel, Surface
 from .maps import read_map
+
+if TYPE_CHECKING:
+    from .occlusion import SelfOcclusion
 
 CHANNELS = ("depth", "alpha", "N.X", "N.Y", "N.Z", "albedo.R", "albedo.G", "albedo.B", "roughness", "ior")
 LEAST_ALPHA = 1 / 255  # below it nothing shows in any display
@@ -84,7 +88,7 @@ def relight_views(run: StageRun) -> None:
             shadows = occluder.under(lamp) if occluder else None
             for view, gbuffer in paths.items():
                 pixels = read_view(gbuffer, cameras[view], masks / f"{view}.png" if masks else None)
-                occlusion = shadows.at(view, pixels.surface) if shadows else None
+                occlusion = occluder.at(view, pixels.surface, shadows) if occluder and shadows else None
                 stokes = pixels.image(lamp.stokes(pixels.surface, occlusion))
                 write_stokes(run.output / path.stem / f"{view}.exr", stokes)
                 if run.parameters.previews:
@@ -93,10 +97,10 @@ def relight_views(run: StageRun) -> None:
             if run.parameters.turntable:
                 from .turntable import write_turntable
 
-                write_turntable(run, lamp, cameras, run.output / path.stem)
+                write_turntable(run, lamp, cameras, run.output / path.stem, occluder)
 
 
-def _occluder(run: StageRun, model: ShadingModel):
+def _occluder(run: StageRun, model: ShadingModel) -> SelfOcclusion | None:
     """What shadows the model throws on itself, or None where they are off."""
     wanted = run.parameters.occlusion == "on" or (run.parameters.occlusion == "auto" and model.occlusion)
     mesh = run.inputs.get("mesh")
@@ -104,7 +108,7 @@ def _occluder(run: StageRun, model: ShadingModel):
         reason = "relight.occlusion=off" if run.parameters.occlusion == "off" else "training saw no self-occlusion"
         run.note("occlusion", {"run": False, "reason": reason})
         return None
-    from .occlusion import Occluder
+    from .occlusion import SelfOcclusion
 
-    run.note("occlusion", {"run": True, "reason": "shadows and one bounce from the mesh"})
-    return Occluder(mesh / "mesh.ply", model)
+    run.note("occlusion", {"run": True, "reason": "the object occludes itself: shadows and bounces from the mesh"})
+    return SelfOcclusion(mesh / "mesh.ply", model)
