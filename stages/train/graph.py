@@ -16,25 +16,44 @@ NEIGHBOURS = 8
 class SurfaceGraph:
     """Undirected edges i < j between neighbouring splats on the same side of the surface.
 
-    edges [2, E]; length [E] (rest distance); spacing: mean edge length; average [N, N]: sparse row-stochastic matrix
-    (0.5 self + 0.5 neighbours), symmetric up to row scaling, for diffusing updates.
+    edges [2, E]; indptr [N + 1], indices [2 E]: each splat's neighbours (int32); spacing: mean edge length.
     """
 
     edges: torch.Tensor
-    length: torch.Tensor
+    indptr: torch.Tensor
+    indices: torch.Tensor
     spacing: float
-    average: torch.Tensor
 
-    def smooth(self, values: torch.Tensor, rounds: int) -> torch.Tensor:
-        """`rounds` diffusion steps of per-splat values [N, C]."""
+    def __len__(self) -> int:
+        return len(self.indptr) - 1
+
+    def diffuse(self, values: torch.Tensor, rounds: int) -> torch.Tensor:
+        """`rounds` steps of replacing per-splat values [N, C] by half themselves and half their neighbours' mean."""
+        if values.device.type == "cpu":
+            return self._diffuse_cpu(values, rounds)
+        i, j = self.edges
+        degree = (self.indptr[1:] - self.indptr[:-1]).to(values.dtype)[:, None]
         for _ in range(rounds):
-            values = self.average @ values
+            total = torch.zeros_like(values).index_add_(0, i, values[j]).index_add_(0, j, values[i])
+            values = torch.where(degree > 0, 0.5 * values + 0.5 * total / degree.clamp_min(1), values)
         return values
+
+    def _diffuse_cpu(self, values: torch.Tensor, rounds: int) -> torch.Tensor:
+        from .surface_kernels import diffuse_rows
+
+        indptr, indices = self.indptr.numpy(), self.indices.numpy()
+        a = np.ascontiguousarray(values.detach().numpy())
+        b = np.empty_like(a)
+        for _ in range(rounds):
+            diffuse_rows(0, len(a), indptr, indices, a, b)
+            a, b = b, (a if a.base is None else np.empty_like(a))
+        return torch.from_numpy(a)
 
 
 def build_graph(positions: torch.Tensor, normals: torch.Tensor) -> SurfaceGraph:
     """Graph of the nearest neighbours whose normals agree (within 75 degrees) and that lie beside, not behind."""
     p, n = positions.detach().cpu().double().numpy(), normals.detach().cpu().double().numpy()
+    n = n / np.maximum(np.linalg.norm(n, axis=-1, keepdims=True), 1e-12)  # a zero normal has no neighbours
     count = len(p)
     distance, index = cKDTree(p).query(p, k=min(NEIGHBOURS + 1, count))
     i = np.repeat(np.arange(count), index.shape[1] - 1)
@@ -45,24 +64,15 @@ def build_graph(positions: torch.Tensor, normals: torch.Tensor) -> SurfaceGraph:
     kept = facing & beside & (d < 4 * typical) & (d > 0)
     pairs = np.unique(np.sort(np.stack([i[kept], j[kept]], -1), -1), axis=0)
     a, b = pairs[:, 0], pairs[:, 1]
-    ones = np.ones(len(a), np.float32)
+    ones = np.ones(len(a), np.int8)
     links = sparse.coo_matrix((np.r_[ones, ones], (np.r_[a, b], np.r_[b, a])), (count, count)).tocsr()
-    degree = np.maximum(np.asarray(links.sum(1)).ravel(), 1)
-    matrix = (0.5 * sparse.eye(count) + 0.5 * sparse.diags(1 / degree) @ links).tocsr().astype(np.float32)
-    alone = np.asarray(links.sum(1)).ravel() == 0
-    matrix = (matrix + sparse.diags(0.5 * alone.astype(np.float32))).tocsr()
-    average = torch.sparse_csr_tensor(
-        torch.as_tensor(matrix.indptr.astype(np.int64)),
-        torch.as_tensor(matrix.indices.astype(np.int64)),
-        torch.as_tensor(matrix.data.astype(np.float32)),
-        (count, count),
-    ).to(positions.device)
-    length = np.linalg.norm(p[a] - p[b], axis=-1)
+    links.sort_indices()
+    device = positions.device
     return SurfaceGraph(
-        edges=torch.as_tensor(pairs.T.copy(), device=positions.device),
-        length=torch.as_tensor(length.astype(np.float32), device=positions.device),
-        spacing=float(length.mean()) if len(length) else float(typical),
-        average=average,
+        edges=torch.as_tensor(pairs.T.copy(), device=device),
+        indptr=torch.as_tensor(links.indptr.astype(np.int32), device=device),
+        indices=torch.as_tensor(links.indices.astype(np.int32), device=device),
+        spacing=float(np.linalg.norm(p[a] - p[b], axis=-1).mean()) if len(a) else float(typical),
     )
 
 
@@ -70,11 +80,12 @@ def slope_residual(graph: SurfaceGraph, positions: torch.Tensor, normals: torch.
     """Disagreement of positions with normals along every edge (radians) [E].
 
     The chord against the mean of its two normals: zero on planes and on every sphere and cylinder, unlike the plane-to-point
-    distance, so smooth curvature is not penalised.
+    distance, so smooth curvature is not penalised. The chord's length is taken as constant.
     """
     i, j = graph.edges
     chord = positions[j] - positions[i]
-    return (chord * (normals[i] + normals[j])).sum(-1) / (2 * graph.length)
+    length = torch.sqrt((chord.detach() ** 2).sum(-1) + 1e-20)  # coincident splats: no chord, no term
+    return (chord * (normals[i] + normals[j])).sum(-1) / (2 * length)
 
 
 def edge_difference(graph: SurfaceGraph, values: torch.Tensor) -> torch.Tensor:

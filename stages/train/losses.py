@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import torch
 
-from .graph import SurfaceGraph, edge_difference, slope_residual
-
 GAMMA = 1 / 2.4  # sRGB's exponent
 TOE = 0.005  # keeps the encoding's slope finite at black: 9 there, sRGB's is 12.9 (unit: mean foreground = 0.25)
 CHARBONNIER = 0.01  # encoded residual below which the loss is quadratic: about one 8-bit step and a half
@@ -51,24 +49,3 @@ def weighted_mean(values: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:
 def mask_loss(alpha: torch.Tensor, target: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:
     """L_mask: mean absolute difference, relative to the object's area so that empty margins do not dilute it."""
     return ((alpha - target).abs() * weight).sum() / target.sum().clamp_min(1.0)
-
-
-def depth_normal_loss(graph: SurfaceGraph, positions: torch.Tensor, normals: torch.Tensor) -> torch.Tensor:
-    """L_depth-normal on the surface itself: mean robust disagreement (radians) of chords with their normals."""
-    return robust(slope_residual(graph, positions, normals), 0.05).mean()
-
-
-def normal_smoothness(graph: SurfaceGraph, normals: torch.Tensor) -> torch.Tensor:
-    """Part of L_smooth: mean robust turn (radians) between neighbours; linear past 0.1 rad, so that creases may stay."""
-    difference = edge_difference(graph, normals)
-    return (torch.sqrt((difference * difference).sum(-1) + 0.1**2) - 0.1).mean()
-
-
-def albedo_smoothness(graph: SurfaceGraph, albedo: torch.Tensor) -> torch.Tensor:
-    """Part of L_smooth: total variation of the albedo over neighbours (piecewise constant textures cost their outlines)."""
-    return robust(edge_difference(graph, albedo), 0.02).mean()
-
-
-def material_smoothness(graph: SurfaceGraph, offsets: torch.Tensor) -> torch.Tensor:
-    """Part of L_smooth: squared differences and squared size of the roughness and IoR offsets [N, 2] (raw units)."""
-    return (edge_difference(graph, offsets) ** 2).mean() + 0.1 * (offsets**2).mean()

@@ -63,9 +63,9 @@ class SurfaceAdam:
                 scale = scale.mean(-1, keepdim=True)  # one step length per splat keeps vectors' directions
             update = m / (1 - BETA1**t) / (scale.sqrt() + EPSILON)
             rounds = round(group.diffusion * diffusion_scale)
-            if rounds and graph is not None and update.shape[0] == graph.average.shape[0]:
+            if rounds and graph is not None and update.shape[0] == len(graph):
                 flat = update.reshape(len(update), -1)
-                update = graph.smooth(flat, rounds).reshape(update.shape)
+                update = graph.diffuse(flat, rounds).reshape(update.shape)
             tensor.sub_(group.rate * rate_scale.get(name, rate_scale[""]) * update)
 
     def select(self, names: tuple[str, ...], rows: torch.Tensor) -> None:

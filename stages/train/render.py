@@ -6,11 +6,10 @@ from dataclasses import dataclass
 
 import torch
 
-from pipeline.lighting import LightField, Shaded, shade
+from pipeline.lighting import LightField, Occlusion, Shaded, shade
 
 from .data import View
 from .model import Splats, unit
-from .occlusion import ViewOcclusion
 from .rasterize import Raster, rasterize
 
 BACK_FACING = -0.15  # cosine below which a splat's outer side is turned away for good: it cannot show, only leak through
@@ -20,12 +19,13 @@ LEAST_ALPHA = 1e-3  # opacity below which a pixel's attributes are noise over no
 @dataclass(frozen=True)
 class GBuffer:
     """Attributes of P pixels, divided by opacity: normal [P, 3] (unit, outward), albedo [P, 3], roughness, ior, alpha [P];
-    alpha_image [H, W]; the raster itself; rows: indices of the splats that were drawn."""
+    extra [P, C]; alpha_image [H, W]; the raster itself; rows: indices of the splats that were drawn."""
 
     normal: torch.Tensor
     albedo: torch.Tensor
     roughness: torch.Tensor
     ior: torch.Tensor
+    extra: torch.Tensor
     alpha: torch.Tensor
     alpha_image: torch.Tensor
     raster: Raster
@@ -39,19 +39,21 @@ class Rendered:
     stokes: torch.Tensor
     gbuffer: GBuffer
     shaded: Shaded
+    splats: Splats
 
 
-def rasterise_view(splats: Splats, view: View, pixels: torch.Tensor, backend: str) -> GBuffer:
-    """G-buffer of a view at flat pixel indices [P]."""
+def rasterise_view(
+    splats: Splats, view: View, pixels: torch.Tensor, backend: str, extra: torch.Tensor | None = None
+) -> GBuffer:
+    """G-buffer of a view at flat pixel indices [P]; `extra` [N, C] per-splat values are blended alongside."""
     height, width = view.size
     centre = -view.world_to_camera[:3, :3].T @ view.world_to_camera[:3, 3]
     with torch.no_grad():
         towards = centre - splats.means
         cosine = (splats.normals * towards).sum(-1)
         rows = torch.nonzero(cosine > BACK_FACING * towards.norm(dim=-1))[:, 0]
-    features = torch.cat(
-        [splats.normals, splats.albedo, splats.roughness[:, None], splats.ior[:, None]], -1
-    )[rows]
+    columns = [splats.normals, splats.albedo, splats.roughness[:, None], splats.ior[:, None]]
+    features = torch.cat(columns if extra is None else [*columns, extra], -1)[rows]
     raster = rasterize(
         splats.means[rows],
         splats.quaternions[rows],
@@ -71,6 +73,7 @@ def rasterise_view(splats: Splats, view: View, pixels: torch.Tensor, backend: st
         albedo=values[:, 3:6],
         roughness=values[:, 6],
         ior=values[:, 7],
+        extra=values[:, 8:],
         alpha=alpha,
         alpha_image=raster.alpha,
         raster=raster,
@@ -85,7 +88,7 @@ def render_view(
     *,
     backend: str = "cpu",
     fresnel: str = "exact",
-    occlusion: ViewOcclusion | None = None,
+    occlusion: Occlusion | None = None,
 ) -> Rendered:
     """Stokes image of a view at its counting pixels."""
     g = rasterise_view(splats, view, view.pixels, backend)
@@ -100,7 +103,7 @@ def render_view(
         view.frame_x,
         view.frame_y,
         light,
+        occlusion=occlusion,
         fresnel=fresnel,
-        **(occlusion.arguments() if occlusion is not None else {}),
     )
-    return Rendered(shaded.stokes * g.alpha[:, None, None], g, shaded)
+    return Rendered(shaded.stokes * g.alpha[:, None, None], g, shaded, splats)

@@ -68,7 +68,7 @@ def prepare_training(
     if parameters.coarse_fraction > 0:
         levels.append([halved(s) for s in sources])
     pyramids = [[prepare(s, frame, black, device) for s in level if s.split != "test"] for level in levels]
-    return Start(Scene(model, environment, bank), pyramids, frame, hull, black, pixel)
+    return Start(Scene(model, environment, bank, hull), pyramids, frame, hull, black, pixel)
 
 
 def _pixel_width(source: SourceView, frame: SceneFrame) -> float:
@@ -82,4 +82,5 @@ def _tint(model: SplatModel, seen: list[SourceView]) -> None:
     mean = np.mean([s.image[:, :, 0][s.mask > 0.5].mean(0) for s in seen if (s.mask > 0.5).any()], 0)
     colour = np.clip(START_ALBEDO * mean / max(float(mean.mean()), 1e-30), 0.03, 0.9)
     raw = model.tensors["albedo"]
-    model.tensors["albedo"] = logit(torch.as_tensor(colour, dtype=torch.float32)).to(raw.device).expand_as(raw).clone().requires_grad_(True)
+    start = logit(torch.as_tensor(colour, dtype=torch.float32)).to(raw.device)
+    model.tensors["albedo"] = start.expand_as(raw).clone().requires_grad_(True)

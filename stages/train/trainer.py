@@ -8,7 +8,7 @@ from typing import Any
 
 import torch
 
-from pipeline.lighting import LightField, Prefilter
+from pipeline.lighting import LightField, Occlusion, Prefilter
 
 from . import losses
 from .data import Mode, View
@@ -16,21 +16,24 @@ from .environment import Environment
 from .evaluate import psnr
 from .frame import SceneFrame
 from .graph import SurfaceGraph, build_graph
-from .model import SplatModel
-from .occlusion import ViewOcclusion
+from .initialise.hull import HullMesh
+from .model import SplatModel, Splats
+from .occlusion import LEAST_BLOCKED, Occluder, SplatOcclusion, carried_hull, trace_pixels, trace_splats, view_occlusion
 from .optimiser import Group, SurfaceAdam
 from .parameters import TrainParameters
 from .polarisers import AngleSums, PolariserBank, fit_angle
-from .render import Rendered, render_view
+from .render import Rendered, rasterise_view, render_view
 from .schedule import Phase, epoch_order, phase_at
+from .surface_losses import SurfaceWeights, surface_loss
 
 REFRESH = 100  # steps between rebuilding what depends on the geometry as a whole (graph, occlusion); checkpoints fall here
+OCCLUSION_FROM = 200  # steps before the first tracing: the light and the albedo must mean something
+OCCLUSION_EVERY = 2  # refreshes between tracings
 POLARISATION_SCALE = 1.0  # L_pol in encoded units weighs as much as L_rgb: both then count display steps
 
 GROUPS = {
     "position": Group(4e-4, 6),
     "normal": Group(8e-3, 4),
-    "tangent": Group(2e-3),
     "log_scale": Group(4e-3),
     "opacity": Group(2e-2),
     "albedo": Group(2e-2, 1),
@@ -50,8 +53,9 @@ class Scene:
     model: SplatModel
     environment: Environment
     bank: PolariserBank | None
+    hull: HullMesh  # training frame
     graph: SurfaceGraph | None = None
-    occlusion: dict[tuple[str, int], ViewOcclusion] = field(default_factory=dict)
+    occlusion: dict[tuple[str, int], Occlusion] = field(default_factory=dict)
 
 
 class Trainer:
@@ -71,6 +75,10 @@ class Trainer:
         self.adam = SurfaceAdam(GROUPS)
         self.prefilter = Prefilter(parameters.environment_resolution, parameters.lobe)
         self.iteration = 0
+        self.surface_parts: dict[str, float] = {}
+        self.occluder: Occluder | None = None
+        self.surface_occlusion: SplatOcclusion | None = None
+        self.blocked = 0.0
 
     def tensors(self) -> dict[str, torch.Tensor]:
         """Every optimised tensor by its group's name."""
@@ -96,9 +104,61 @@ class Trainer:
         return self.prefilter.apply(self.scene.environment.radiance())
 
     def refresh(self) -> None:
-        """Rebuild the surface graph (and occlusion) from the current surface."""
+        """Rebuild the surface graph from the current surface and, when it is due, what the object hides from itself."""
         model = self.scene.model
         self.scene.graph = build_graph(model["position"], model["normal"])
+        steps = self.iteration // REFRESH
+        if self.parameters.occlusion and self.iteration >= OCCLUSION_FROM and steps % OCCLUSION_EVERY == 0:
+            self.trace()
+
+    @torch.no_grad()
+    def trace(self) -> None:
+        """Trace shadows, bounces and blocked reflections for every training view at the level in use."""
+        light, splats = self.light(), self.scene.model.activated()
+        self.trace_surface(light, splats)
+        self.scene.occlusion.clear()
+        if self.surface_occlusion is None:
+            return
+        level = self.phase(self.iteration).level
+        for view in self.pyramids[level]:
+            self.scene.occlusion[view.name, level] = self.trace_view(view, light, splats)
+
+    def trace_surface(self, light: LightField, splats: Splats) -> None:
+        """The occluder and what each splat receives; None where nothing is occluded."""
+        assert self.scene.graph is not None
+        self.occluder = carried_hull(self.scene.hull, self.scene.model)
+        fresnel = self.parameters.fresnel
+        traced = trace_splats(self.occluder, splats, light, self.scene.graph, self.parameters.seed, fresnel)
+        self.blocked = traced.blocked
+        self.surface_occlusion = traced if traced.blocked >= LEAST_BLOCKED else None
+
+    @torch.no_grad()
+    def trace_view(self, view: View, light: LightField, splats: Splats) -> Occlusion:
+        """Occlusion at a view's pixels: shadow and bounce blended from the splats, the reflection lobe traced."""
+        traced, graph = self.surface_occlusion, self.scene.graph
+        assert traced is not None and graph is not None and self.occluder is not None
+        extra = torch.cat([traced.shadow, traced.bounced], -1)
+        g = rasterise_view(splats, view, view.pixels, self.backend, extra)
+        alpha = g.alpha.clamp_min(1e-3)
+        depth = g.raster.depth_expected.reshape(-1)[view.pixels] / alpha
+        rotation, translation = view.world_to_camera[:3, :3], view.world_to_camera[:3, 3]
+        centre = -rotation.T @ translation
+        along = -(view.view_direction @ rotation[2])  # z per unit length of the viewing ray
+        points = centre - view.view_direction * (depth / along)[:, None]
+        normal = torch.where(g.alpha[:, None] > 0, g.normal, view.view_direction)
+        unblocked, seen = trace_pixels(
+            self.occluder,
+            splats,
+            light,
+            points.cpu().numpy(),
+            normal.cpu().numpy(),
+            view.view_direction.cpu().numpy(),
+            g.roughness.clamp(0.08, 1).cpu().numpy(),
+            graph.spacing,
+            self.parameters.seed,
+            self.parameters.fresnel,
+        )
+        return view_occlusion(g.extra[:, :3], g.extra[:, 3:], unblocked, seen)
 
     def step(self) -> dict[str, float]:
         """One optimisation step; returns the losses (weighted) by name."""
@@ -112,7 +172,8 @@ class Trainer:
         total.backward()
         self.adam.step(self.tensors(), phase.rates, self.scene.graph, phase.diffusion)
         self.iteration += 1
-        return {name: float(value.detach()) for name, value in terms.items()}
+        values = {name: float(value.detach()) for name, value in terms.items() if name != "surface"}
+        return values | self.surface_parts
 
     def render(self, view: View, level: int, light: LightField | None = None) -> Rendered:
         """Render a view with the current model."""
@@ -127,7 +188,10 @@ class Trainer:
 
     def render_whole(self, view: View) -> Rendered:
         """Render a view that is not one of the training views."""
-        return self.render(view, -1)
+        light, splats = self.light(), self.scene.model.activated()
+        occlusion = self.trace_view(view, light, splats) if self.surface_occlusion is not None else None
+        parameters = self.parameters
+        return render_view(splats, view, light, backend=self.backend, fresnel=parameters.fresnel, occlusion=occlusion)
 
     def skip_to_consolidation(self) -> None:
         """Go on at the last phase: every view, falling learning rates."""
@@ -151,18 +215,16 @@ class Trainer:
         """All weighted losses of Eq. 10."""
         p, model, graph = self.parameters, self.scene.model, self.scene.graph
         assert graph is not None
-        splats = model.activated()
+        splats = rendered.splats
         offsets = torch.stack([model["roughness_offset"], model["ior_offset"]], -1)
         terms = self.measured_terms(view, rendered)
         terms["mask"] = p.weight_mask * losses.mask_loss(
             rendered.gbuffer.alpha_image, view.alpha_target, view.alpha_weight
         )
-        terms["depth_normal"] = p.weight_depth_normal * losses.depth_normal_loss(graph, splats.means, splats.normals)
-        terms["smooth"] = p.weight_smooth * (
-            losses.normal_smoothness(graph, splats.normals)
-            + 0.2 * losses.albedo_smoothness(graph, splats.albedo)
-            + losses.material_smoothness(graph, offsets)
-        )
+        smooth = p.weight_smooth
+        weights = SurfaceWeights(p.weight_depth_normal, smooth, 0.2 * smooth, smooth, 0.1 * smooth)
+        terms["surface"], parts = surface_loss(graph, splats.means, splats.normals, splats.albedo, offsets, weights)
+        self.surface_parts = {"depth_normal": float(parts[0]), "smooth": float(parts[1:].sum())}
         terms["environment"] = 0.002 * p.weight_environment * self.scene.environment.roughness_of()
         return terms
 
