@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pipeline.cameras import Camera
 from pipeline.capture.files import some
 from pipeline.errors import UserError
-from pipeline.images import read_image, write_png
+from pipeline.images import read_image, read_stokes, write_png
 from pipeline.stage import StageRun
 from stages.masks.stage import choose_method
 
@@ -35,6 +35,8 @@ def make_masks(stage: StageRun) -> None:
         views[name] = {"method": methods[name], "coverage": float((mask > THRESHOLD).mean())}
     if stage.parameters.hull_check and stage.capture.kind == "multiview":
         flag_disagreement(stage, pixels, views)
+    if stage.capture.polarisation == "stokes":
+        say_if_frame_looks_wrong(stage, pixels)
     empty = [name for name in sorted(views) if views[name]["coverage"] == 0]
     if empty:
         stage.warn(f"{stage.output.name}: the object was not found in {', '.join(empty[:4])}: these views are black")
@@ -66,6 +68,25 @@ def flag_disagreement(stage: StageRun, masks: dict[str, NDArray[np.uint8]], view
         )
     elif flagged:
         stage.warn(f"{stage.capture.root}: most masks disagree with each other: are cameras and masks of the same views?")
+
+
+CONTOUR_VIEWS = 12
+
+
+def say_if_frame_looks_wrong(stage: StageRun, masks: dict[str, NDArray[np.uint8]]) -> None:
+    """Hold the Stokes frame against the object's outline; a line where it looks turned or mirrored."""
+    from stages.masks.contour_check import contour_evidence, verdict
+
+    names = sorted(masks)[:: max(1, len(masks) // CONTOUR_VIEWS)]
+    folder = stage.inputs["decode"] / "frames"
+    stokes = [read_stokes(folder / f"{name}.exr").mean(-1) for name in names]
+    evidence = contour_evidence(stokes, [masks[name] > THRESHOLD for name in names])
+    stage.note(
+        "outline_agreement", {"as_is": abs(evidence.as_is), "s2_flipped": abs(evidence.flipped), "pixels": evidence.pixels}
+    )
+    line = verdict(evidence)
+    if line:
+        stage.warn(f"{stage.capture.root}: {line}")
 
 
 def shrunk(mask: NDArray[np.uint8], camera: Camera) -> tuple[NDArray[np.bool_], Camera]:

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any, Literal
 
 from pipeline.cameras import Camera, camera_from_frame
+from pipeline.capture.assemble import find_plates
 from pipeline.capture.config import CaptureConfig
 from pipeline.capture.files import (
-    FLOAT_SUFFIXES,
     IMAGE_SUFFIXES,
     UNREADABLE,
     check_masks,
@@ -19,19 +19,19 @@ from pipeline.capture.files import (
     find_masks,
     list_images,
     polariser_priors,
-    refuse_duplicates,
     some,
     sorted_views,
-    view_name,
 )
+from pipeline.capture.grouping import Group
 from pipeline.capture.layouts import Layout
 from pipeline.capture.model import Capture, ViewSource
-from pipeline.capture.stokes_files import holds_stokes, rgb_loader, stokes_exr_loader
+from pipeline.capture.sources import discover
 from pipeline.errors import UserError
 from pipeline.images import channel_names, image_size
 
 FILE = "transforms.json"
 DEFAULT_CAMERA = "camera"
+MISPLACED = "put the images where file_path says"
 
 
 def recognise(root: Path) -> bool:
@@ -39,66 +39,135 @@ def recognise(root: Path) -> bool:
 
 
 def read(root: Path, config: CaptureConfig) -> Capture:
-    """Open the capture; matrices are camera-to-world with OpenGL axes."""
+    """Open the capture; matrices are camera-to-world with OpenGL axes. A frame may name a picture, a mosaic, a raw file,
+    or the view that a stack's files begin with."""
     table = load_table(root / FILE)
     warnings: list[str] = []
-    found = find_images(root, table["frames"], warnings)
-    folder = common_folder(root, [path for _, path in found])
-    named = [(view_name(path, folder), frame, path) for frame, path in found]
-    refuse_duplicates((view, path) for view, _, path in named)
-    used = {path for _, _, path in named}
-    spare = [p for p in list_images(folder) if p not in used] if folder != root else []
-    if spare:
-        warnings.append(f"{root / FILE}: no camera for {count(spare, 'image')} ({some(p.name for p in spare)}); left out")
+    folder, paths = pictures_of(root, table["frames"])
+    frame_of = frames_by_view(root, folder, table["frames"])
 
-    polarisation, channels = "none", {}
-    for view, _, path in named:
-        channels[view] = channel_names(path) if path.suffix.lower() in FLOAT_SUFFIXES else ["R", "G", "B"]
-    stokes = {view for view, names in channels.items() if holds_stokes(names)}
-    if stokes and len(stokes) != len(named):
-        odd = next(path for view, _, path in named if view not in stokes)
-        raise UserError(odd, f"holds no Stokes channels while {count(stokes, 'other image')} do", "export every image alike")
-    if stokes:
-        polarisation = "stokes"
-    elif config.polarisers or any("camera" in frame for _, frame, _ in named):
-        polarisation = "polarisers"
+    def camera_of(group: Group) -> str:
+        frame = frame_for(group, folder, frame_of)
+        return DEFAULT_CAMERA if frame is None else physical_camera(frame, group.paths[0], folder, config)
 
+    sources = discover(paths, folder, config, camera_of)
+    if sources.kind == "stack" and any(_moves(g, folder, frame_of) for g in sources.groups):
+        sources = discover(paths, folder, config, camera_of, kind="colour")  # names like angles, but each its own pose
     cameras: dict[str, Camera] = {}
-    views, masks = [], {}
-    for view, frame, path in named:
-        size = image_size(path)
-        frame = {**frame, "camera": physical_camera(frame, path, folder, config)}
-        if "w" not in frame and "w" not in table:
-            frame["w"], frame["h"] = size
-        camera = camera_from_frame(frame, table, root / FILE)
-        if (camera.width, camera.height) != size:
-            raise UserError(
-                path,
-                f"is {size[0]}x{size[1]}, its camera in {FILE} is {camera.width}x{camera.height}",
-                "give the camera the image's size",
-            )
-        cameras[view] = camera
-        loader = stokes_exr_loader(path, config) if stokes else rgb_loader(path, config, view)
-        views.append(ViewSource(view, (path,), camera.name, loader, size))
+    masks: dict[str, Path] = {}
+    views: list[ViewSource] = []
+    spare, used = [], set()
+    for view, group in zip(sources.views, sources.groups):
+        frame = frame_for(group, folder, frame_of)
+        if frame is None:
+            spare.append(group.paths[0].name)
+            continue
+        used.add(id(frame))
+        cameras[view.view] = camera_of_view(frame, table, view, root)
+        views.append(view)
         if frame.get("mask_path"):
-            masks[view] = root / frame["mask_path"]
+            masks[view.view] = root / frame["mask_path"]
+    missing = [
+        f["file_path"] for f in table["frames"] if id(f) not in used and not _same_view_used(f, root, folder, frame_of, used)
+    ]
+    if not views:
+        raise UserError(root / FILE, f"none of its {len(table['frames'])} images is there (first: {missing[0]})", MISPLACED)
+    if missing:
+        warnings.append(f"{root / FILE}: no image for {count(missing, 'camera')} ({some(missing)}); left out")
+    if spare:
+        warnings.append(f"{root / FILE}: no camera for {count(spare, 'image')} ({some(spare)}); left out")
     if not masks:
-        masks, more = find_masks(root, {view: path for view, _, path in named}, folder)
+        masks, more = find_masks(root, {v.view: v.paths[0] for v in views}, folder)
         warnings += more
     for mask in masks.values():
         if not mask.is_file():
             raise UserError(mask, f"named in {FILE} but not there", "add it or remove its mask_path")
     check_masks(masks, lambda view: (cameras[view].width, cameras[view].height))
-    with_alpha = all("A" in names for names in channels.values()) or all_have_alpha([p for _, _, p in named])
+    told = bool(config.polarisers) or any("camera" in frame for frame in table["frames"])
+    kind: Literal["stokes", "polarisers", "none"] = "stokes" if sources.holds_stokes else "polarisers" if told else "none"
+    plates, plate_files = find_plates(root, config, tuple(views))
     environments = find_environments(root)
-    kind: Literal["stokes", "polarisers", "none"] = polarisation  # type: ignore[assignment]
+    alpha = not masks and all_have_alpha([v.paths[0] for v in views])
+    name = {"stokes_files": "stokes_transforms", "colour": f"{'polarisers' if told else 'rgb'}_transforms"}
     return Capture(
-        root, {"stokes": "stokes_transforms", "polarisers": "polarisers_transforms", "none": "rgb_transforms"}[kind],
-        "multiview", kind, sorted_views(views), environments=environments, config=config, up=config.up or "y",
-        cameras=cameras, masks=masks or ("alpha" if with_alpha else None), warnings=tuple(warnings),
+        root, name.get(sources.kind, f"{sources.kind}_transforms"), "multiview", kind, sorted_views(views),
+        environments=environments, config=config, up=config.up or "y", cameras=cameras,
+        masks=masks or ("alpha" if alpha else None), warnings=tuple(warnings), facts=sources.facts, clean_plates=plates,
         polarisers=polariser_priors([v.camera for v in views], config, root) if kind == "polarisers" else {},
-        files=(root / FILE, *(p for _, _, p in named), *masks.values(), *environments),
+        files=(root / FILE, *(p for v in views for p in v.paths), *masks.values(), *plate_files, *environments),
     )  # fmt: skip
+
+
+def pictures_of(root: Path, frames: list[dict[str, Any]]) -> tuple[Path, list[Path]]:
+    """The folder that VIEW names are relative to, and the image files in question."""
+    named = [existing(root / frame["file_path"]) for frame in frames]
+    for path in named:
+        if path.suffix.lower() in UNREADABLE:
+            raise UserError(path, "cannot be read", UNREADABLE[path.suffix.lower()])
+    folder = common_folder(root, named)
+    there = [p for p in dict.fromkeys(named) if p.is_file()]
+    if folder == root or not folder.is_dir():
+        return folder, there
+    return folder, sorted({*there, *list_images(folder)})
+
+
+def existing(path: Path) -> Path:
+    """The file that a frame means: as named, or with one of the image extensions."""
+    if path.is_file():
+        return path
+    return next((q for q in (path.with_name(path.name + s) for s in sorted(IMAGE_SUFFIXES)) if q.is_file()), path)
+
+
+def frames_by_view(root: Path, folder: Path, frames: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
+    """Frames by file (path below the folder) and by the VIEW that their path means. Raises UserError on duplicates."""
+    out: dict[str, dict[str, Any]] = {}
+    for frame in frames:
+        relative = os.path.relpath(existing(root / frame["file_path"]), folder)
+        if relative in out:
+            raise UserError(root / FILE, f"two frames name {frame['file_path']}", "remove one of them")
+        out[relative] = frame
+    for relative, frame in list(out.items()):
+        path = Path(relative)
+        stem = path.with_suffix("").as_posix() if path.suffix.lower() in IMAGE_SUFFIXES else path.as_posix()
+        out.setdefault(f"view:{stem.replace('/', '_')}", frame)
+    return out
+
+
+def frame_for(group: Group, folder: Path, frame_of: dict[str, dict[str, Any]]) -> dict[str, Any] | None:
+    """The frame of a view: one that names any of its files, else the view itself."""
+    for path in group.paths:
+        frame = frame_of.get(os.path.relpath(path, folder))
+        if frame is not None:
+            return frame
+    return frame_of.get(f"view:{group.view}")
+
+
+def _moves(group: Group, folder: Path, frame_of: dict[str, dict[str, Any]]) -> bool:
+    """Whether the files of one would-be stack have frames with different matrices."""
+    found = [frame_of.get(os.path.relpath(p, folder)) for p in group.paths]
+    return len({json.dumps(f["transform_matrix"]) for f in found if f is not None and "transform_matrix" in f}) > 1
+
+
+def _same_view_used(
+    frame: dict[str, Any], root: Path, folder: Path, frame_of: dict[str, dict[str, Any]], used: set[int]
+) -> bool:
+    """Whether a frame's file belongs to a view that another frame stands for (frames that list a stack file by file)."""
+    path = existing(root / frame["file_path"])
+    return path.is_file() and bool(used)
+
+
+def camera_of_view(frame: dict[str, Any], table: dict[str, Any], view: ViewSource, root: Path) -> Camera:
+    """The frame's camera, which must have the picture's size. Raises UserError."""
+    size = view.size or image_size(view.paths[0])
+    frame = {**frame, "camera": view.camera}
+    if "w" not in frame and "w" not in table:
+        frame["w"], frame["h"] = size
+    camera = camera_from_frame(frame, table, root / FILE)
+    if (camera.width, camera.height) != size:
+        turned = ", turned by 90° (EXIF rotation is not applied)" if (camera.height, camera.width) == size else ""
+        fault = f"is {size[0]}x{size[1]}, its camera in {FILE} is {camera.width}x{camera.height}{turned}"
+        raise UserError(view.paths[0], fault, "give the camera the image's size")
+    return camera
 
 
 def load_table(path: Path) -> dict[str, Any]:
@@ -114,31 +183,6 @@ def load_table(path: Path) -> dict[str, Any]:
         if not isinstance(frame, dict) or not isinstance(frame.get("file_path"), str):
             raise UserError(path, "a frame has no file_path", "name the image of every frame")
     return table
-
-
-def find_images(root: Path, frames: list[dict[str, Any]], warnings: list[str]) -> list[tuple[dict[str, Any], Path]]:
-    """The image file of every frame (a missing extension is found), without the frames whose image is gone."""
-    found, missing = [], []
-    for frame in frames:
-        path = root / frame["file_path"]
-        if not path.is_file():
-            near = [path.with_name(path.name + s) for s in sorted(IMAGE_SUFFIXES) if path.with_name(path.name + s).is_file()]
-            path = near[0] if near else path
-        if path.suffix.lower() in UNREADABLE:
-            raise UserError(path, "cannot be read", UNREADABLE[path.suffix.lower()])
-        if path.is_file():
-            found.append((frame, path))
-        else:
-            missing.append(frame["file_path"])
-    if not found:
-        raise UserError(
-            root / FILE,
-            f"none of its {len(frames)} images is there (first: {missing[0]})",
-            "put the images where file_path says",
-        )
-    if missing:
-        warnings.append(f"{root / FILE}: no image for {count(missing, 'camera')} ({some(missing)}); left out")
-    return found
 
 
 def common_folder(root: Path, paths: list[Path]) -> Path:

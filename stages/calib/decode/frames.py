@@ -6,7 +6,7 @@ import json
 import os
 from collections import defaultdict
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -34,7 +34,6 @@ class FrameRecord:
     impossible: int = 0
     negative: int = 0
     pixels: int = 0
-    samples: dict[str, NDArray[np.float32]] = field(default_factory=dict)
 
 
 def decode_views(stage: StageRun) -> None:
@@ -60,11 +59,6 @@ def decode_views(stage: StageRun) -> None:
                 future.cancel()
             raise
     _tell(stage, records)
-    if stage.parameters.physics_checks and capture.polarisation == "stokes":
-        from stages.calib.decode.physics_checks import check_stokes
-
-        for line in check_stokes(capture, {view: record.samples for view, record in records.items()}):
-            stage.warn(line)
     table = {
         "schema": 1,
         "polarisation": capture.polarisation,
@@ -74,8 +68,6 @@ def decode_views(stage: StageRun) -> None:
 
 
 def _decode_one(source: ViewSource, stage: StageRun) -> tuple[str, FrameRecord]:
-    from stages.calib.decode.physics_checks import sample_stokes
-
     decoded = source.read()
     image = decoded.stokes if decoded.stokes is not None else decoded.rgb
     assert image is not None
@@ -90,7 +82,6 @@ def _decode_one(source: ViewSource, stage: StageRun) -> tuple[str, FrameRecord]:
         else:
             record.negative, record.impossible = count_unphysical(decoded.stokes)
         write_stokes(stage.output / name, decoded.stokes, half=half)
-        record.samples = sample_stokes(decoded.stokes)
     else:
         write_exr(stage.output / name, {c: image[..., i] for i, c in enumerate("RGB")}, half=half)
     facts = record.facts

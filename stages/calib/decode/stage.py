@@ -18,9 +18,6 @@ class DecodeParameters:
     precision: Literal["auto", "half", "float"] = field(
         default="auto", metadata={"help": "of the frames: half floats where they hold the values, or always one"}
     )
-    physics_checks: bool = field(
-        default=True, metadata={"help": "test polariser order and angle zero against physics and say what was found"}
-    )
 
 
 def needed(capture: Capture, parameters: DecodeParameters) -> Decision:

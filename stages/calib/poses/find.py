@@ -196,12 +196,31 @@ class Session:
         return self.with_rig(best)
 
     def with_rig(self, model: Any) -> Any:
-        """Two cameras with views of equal names are a head: one relative pose for all pairs, then adjusted together."""
-        groups = sorted({p.group for p in self.proxies})
-        stems = {g: {Path(p.name).stem.split("_", 1)[-1] for p in self.proxies if p.group == g} for g in groups}
-        if self.stage.parameters.rig != "auto" or len(groups) != 2 or stems[groups[0]] != stems[groups[1]]:
+        """Two cameras with pictures of equal names are a head: one relative pose for all pairs, adjusted together."""
+        prefixes = self.rig_prefixes()
+        registered = {model.images[i].name for i in model.reg_image_ids()}
+        if not prefixes or not all(any(name.startswith(p) for name in registered) for p in prefixes):
             return model
-        return model  # replaced by rigs.py where it applies
+        pc = self.colmap
+        cameras = [pc.RigConfigCamera(ref_sensor=i == 0, image_prefix=prefix) for i, prefix in enumerate(prefixes)]
+        with pc.Database.open(self.database) as database:
+            pc.apply_rig_config([pc.RigConfig(cameras=cameras)], database, model)
+        options = pc.BundleAdjustmentOptions()
+        options.refine_focal_length = options.refine_extra_params = self.mapping_options().ba_refine_focal_length
+        pc.bundle_adjustment(model, options)
+        pc.logging.minloglevel = 2  # bundle adjustment sets it back
+        model.update_point_3d_errors()
+        self.stage.note("rig", list(prefixes))
+        return model
+
+    def rig_prefixes(self) -> tuple[str, ...]:
+        """The picture folders of a two-camera head, or nothing."""
+        stems: dict[str, set[str]] = {}
+        for proxy in self.proxies:
+            stems.setdefault(f"{proxy.group}/", set()).add(Path(proxy.name).name)
+        if self.stage.parameters.rig != "auto" or len(stems) != 2 or len({frozenset(s) for s in stems.values()}) != 1:
+            return ()
+        return tuple(sorted(stems))
 
     def triangulate(self, cameras: Mapping[str, Camera]) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
         """Points [N, 3] and colours seen from fixed cameras."""

@@ -33,7 +33,7 @@ def write_proxies(stage: StageRun, folder: Path, frames: dict[str, dict]) -> lis
     def one(item: tuple[str, dict]) -> Proxy:
         view, frame = item
         group = f"{frame['camera']}_{frame['width']}x{frame['height']}"
-        name = f"{group}/{view}.tif"
+        name = f"{group}/{view.removeprefix(frame['camera'] + '_')}.tif"  # equal names under two cameras: one head
         s0 = _radiance(stage, frame["file"])
         write_tiff(folder / name, encode(s0, exposure[frame["camera"]]))
         return Proxy(view, name, group, frame["camera"], frame["width"], frame["height"])
