@@ -27,7 +27,8 @@ def kernel(function: Callable[..., Any], *, allocates: bool = False) -> Any:
     numba drops a cached kernel only when the kernel's own file changed, though constants and inlined helpers come from
     others: the stamp is over the folder instead.
     """
-    compiled: Any = njit(cache=True, nogil=True, error_model="numpy", _nrt=allocates)(function)
+    options: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy", "_nrt": allocates}
+    compiled: Any = njit(**options)(function)
     compiled._cache._cache_file._source_stamp = _STAMP
     return compiled
 

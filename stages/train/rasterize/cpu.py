@@ -15,10 +15,11 @@ from torch import Tensor
 from . import constants as k
 from .kernel_backward import backward_room, slot_width, tiles_backward
 from .kernel_bin import bin_splats, depth_order
-from .kernel_block import BLOCKS, CHANNELS, GROUP, TILE
-from .kernel_forward import blend_tiles, forward_room
-from .kernel_project import BOTTOM, CULLED, GEO, LEFT, RIGHT, STATE, TOP, project, project_backward
+from .kernel_block import BLOCKS, CHANNELS, GROUP
+from .kernel_forward import blend_tiles, forward_room, largest_weights
+from .kernel_project import GEO, project, project_backward
 from .raster import Raster
+from .simd import TILE
 from .threads import row_buffers, run_on_all_cores
 
 
@@ -82,14 +83,6 @@ class _View:
         z = z[z > 0]
         return np.float32(k.NEAR_FRACTION * np.partition(z, (len(z) - 1) // 2)[(len(z) - 1) // 2] if len(z) else 1.0)
 
-    def measure_radii(self, geo: np.ndarray) -> None:
-        """Half the larger side of each splat's box, at most the image's larger side; 0 if culled or outside the image."""
-        box = geo[:, LEFT : BOTTOM + 1]
-        inside = (geo[:, STATE] != CULLED) & (box[:, 1] > 0) & (box[:, 0] < self.width)
-        inside &= (box[:, 3] > 0) & (box[:, 2] < self.height)
-        half = 0.5 * np.maximum(geo[:, RIGHT] - geo[:, LEFT], geo[:, BOTTOM] - geo[:, TOP])
-        self.radii[inside] = np.minimum(half[inside], max(self.width, self.height))
-
 
 def _array(tensor: Tensor) -> np.ndarray:
     return tensor.detach().contiguous().numpy()
@@ -100,26 +93,25 @@ class _Rasterize(torch.autograd.Function):
     def forward(ctx: Any, view: _View, *inputs: Tensor) -> tuple[Tensor, ...]:
         arrays = [_array(t) for t in inputs]
         count, channels = arrays[-1].shape
-        geo = np.zeros((count, GEO), np.float32)
-        attributes = np.zeros((count, -(-(channels + 3) // GROUP) * GROUP), np.float32)
-        near = view.near_plane(arrays[0])
-        run_on_all_cores(project, *arrays, view.camera, view.lens, near, view.screen_filter, geo, attributes)
-        pairs = bin_splats(geo, depth_order(geo), view.wanted_tiles(), view.width, view.height)
+        size = (view.height, view.width)
+        geo = np.empty((count, GEO), np.float32)
+        attributes = np.empty((count, -(-(channels + 3) // GROUP) * GROUP), np.float32)
+        box = np.empty((count, 4), np.int32)
+        run_on_all_cores(
+            project, *arrays, view.camera, view.lens, view.near_plane(arrays[0]), view.screen_filter, view.width, view.height,
+            geo, attributes, box, view.radii,
+        )  # fmt: skip
+        pairs = bin_splats(box, depth_order(geo), view.wanted_tiles())
         tile_start, pair_splat, pair_slot, slot_start = pairs
-        blended = np.zeros((view.height, view.width, channels), np.float32)
-        normal = np.zeros((view.height, view.width, 3), np.float32)
-        scalars = np.zeros((4, view.height, view.width), np.float32)
-        pair_weight = np.zeros(len(pair_slot), np.float32)
-        tile_used = np.zeros(len(tile_start) - 1, np.int64)
+        blended, normal, scalars = (np.empty(shape, np.float32) for shape in ((*size, channels), (*size, 3), (4, *size)))
+        pair_weight = np.empty(len(pair_slot), np.float32)
+        tile_used = np.empty(len(tile_start) - 1, np.int64)
         tile_state = np.empty((len(tile_used), BLOCKS * BLOCKS, CHANNELS), np.float32)
         run_on_all_cores(
             blend_tiles, tile_start, pair_splat, pair_slot, geo, attributes, view.mask, view.screen,
             blended, normal, scalars, pair_weight, tile_used, tile_state, row_buffers(forward_room(attributes.shape[1])),
         )  # fmt: skip
-        view.measure_radii(geo)
-        seen = np.flatnonzero(np.diff(slot_start))
-        if len(seen):
-            view.visible[seen] = np.maximum.reduceat(pair_weight, slot_start[seen])
+        largest_weights(slot_start, pair_weight, view.visible)
         ctx.view, ctx.pairs, ctx.tiles, ctx.splats = view, pairs, (tile_used, tile_state), (geo, attributes)
         ctx.save_for_backward(*inputs)
         ctx.set_materialize_grads(False)

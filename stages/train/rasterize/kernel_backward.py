@@ -15,7 +15,6 @@ from .kernel_block import (
     AHEAD,
     ALPHA_MAX,
     ALPHA_MIN,
-    BLOCK,
     BLOCKS,
     CHANNELS,
     CUTOFF_RHO,
@@ -26,7 +25,6 @@ from .kernel_block import (
     MOMENT1,
     MOMENT2,
     ONE,
-    TILE,
     TRANSMITTANCE,
     TWO,
     ZERO,
@@ -37,7 +35,7 @@ from .kernel_block import (
     prefetch_splat,
 )
 from .kernel_project import G_GEO, OPACITY, QX, QY, UX, UY, VX, VY, Z
-from .simd import LANES, absolute, any_lane, largest, load, select, spread, store, store_totals, take_ticket, value
+from .simd import BLOCK, LANES, TILE, absolute, any_lane, largest, load, select, spread, store, store_totals, take_ticket, value
 
 _f = np.float32
 

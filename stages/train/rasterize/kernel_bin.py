@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from .compiling import allocating_kernel, kernel
-from .kernel_block import TILE
-from .kernel_project import BOTTOM, CULLED, LEFT, RIGHT, STATE, TOP, Z
+from .compiling import allocating_kernel
+from .kernel_project import CULLED, STATE, Z
 
 DIGIT = 11  # bits a radix pass sorts by: three passes cover 32 bits, and the histogram stays in the L1 cache
 
@@ -46,41 +45,24 @@ def depth_order(geo: np.ndarray) -> np.ndarray:
     return index
 
 
-@kernel
-def tile_range(low: float, high: float, size: int, tile: int) -> tuple:
-    """First and last + 1 tile whose pixel centres (at +0.5) can lie in [low, high]; empty where none does."""
-    first = max(low - np.float32(0.5), np.float32(0))
-    last = min(high - np.float32(0.5), np.float32(size - 1))
-    if not last >= first:
-        return 0, 0
-    pixel = int(first)
-    pixel += pixel < first  # rounded up; both are >= 0
-    return pixel // tile, int(last) // tile + 1
-
-
 @allocating_kernel
-def bin_splats(geo: np.ndarray, order: np.ndarray, wanted: np.ndarray, width: int, height: int) -> tuple:
+def bin_splats(box: np.ndarray, order: np.ndarray, wanted: np.ndarray) -> tuple:
     """Pairs (tile, splat) in tile order, front to back.
 
-    wanted: tiles to fill. [rows, columns] bool
+    box: tiles under each splat, empty where culled. [N, 4]; wanted: tiles to fill. [rows, columns] bool
     Returns tile_start [tiles + 1], pair_splat [S], pair_slot [S] (where the pair's gradients go: grouped by splat),
     slot_start [N + 1].
     """
     rows, columns = wanted.shape
-    count = len(geo)
+    count = len(box)
     tile_start = np.zeros(rows * columns + 1, np.int64)
     slot_start = np.zeros(count + 1, np.int64)
-    box = np.zeros((count, 4), np.int32)
     for s in range(count):
-        if geo[s, STATE] != CULLED:
-            x0, x1 = tile_range(geo[s, LEFT], geo[s, RIGHT], width, TILE)
-            y0, y1 = tile_range(geo[s, TOP], geo[s, BOTTOM], height, TILE)
-            box[s, 0], box[s, 1], box[s, 2], box[s, 3] = x0, x1, y0, y1
-            for y in range(y0, y1):
-                for x in range(x0, x1):
-                    if wanted[y, x]:
-                        tile_start[y * columns + x + 1] += 1
-                        slot_start[s + 1] += 1
+        for y in range(box[s, 2], box[s, 3]):
+            for x in range(box[s, 0], box[s, 1]):
+                if wanted[y, x]:
+                    tile_start[y * columns + x + 1] += 1
+                    slot_start[s + 1] += 1
     for t in range(rows * columns):
         tile_start[t + 1] += tile_start[t]
     for s in range(count):

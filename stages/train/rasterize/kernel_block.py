@@ -7,9 +7,23 @@ import numpy as np
 from . import constants as k
 from .compiling import kernel
 from .kernel_project import BOTTOM, CX, CY, FLAT, GEO, LEFT, OPACITY, Q_MAX, QX, QY, RIGHT, STATE, TOP, UX, UY, VX, VY, Z
-from .simd import BLOCK, LANES, absolute, any_lane, lane_x, lane_y, load, maximum, minimum, prefetch, select, spread, store
+from .simd import (
+    BLOCK,
+    LANES,
+    TILE,
+    absolute,
+    any_lane,
+    lane_x,
+    lane_y,
+    load,
+    maximum,
+    minimum,
+    prefetch,
+    select,
+    spread,
+    store,
+)
 
-TILE = 16  # pixels a side
 BLOCKS = TILE // BLOCK  # a side
 
 # A tile works in one flat float32 buffer: block after block of `stride` values, each a list of rows of LANES:
@@ -139,7 +153,7 @@ def block_interval(low: float, high: float, origin: int) -> tuple:
     if not last >= first:
         return 0, 0
     pixel = int(first)
-    pixel += pixel < first  # rounded up; both are >= 0
+    pixel += int(pixel < first)  # rounded up; both are >= 0
     return pixel // BLOCK, int(last) // BLOCK + 1
 
 

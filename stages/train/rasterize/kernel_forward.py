@@ -7,7 +7,6 @@ import numpy as np
 from .compiling import kernel
 from .kernel_block import (
     AHEAD,
-    BLOCK,
     BLOCKS,
     CHANNELS,
     HALF,
@@ -15,7 +14,6 @@ from .kernel_block import (
     MOMENT1,
     MOMENT2,
     ONE,
-    TILE,
     TRANSMITTANCE,
     ZERO,
     blend_block,
@@ -25,7 +23,7 @@ from .kernel_block import (
     start_tile,
 )
 from .kernel_project import Z
-from .simd import LANES, any_lane, largest, load, maximum, spread, store, take_ticket, value
+from .simd import BLOCK, LANES, TILE, any_lane, largest, load, maximum, spread, store, take_ticket, value
 
 _f = np.float32
 
@@ -108,11 +106,9 @@ def blend_tiles(
             return
         first, last = tile_start[tile], tile_start[tile + 1]
         left, top = (tile % columns) * TILE, (tile // columns) * TILE
-        if first == last:
-            continue
         start_tile(buffer, stride, mask, left, top)
         remaining = open_blocks(buffer, stride, is_open)
-        z_ref = geo[pair_splat[first], Z]
+        z_ref = geo[pair_splat[first], Z] if first < last else ZERO
         used = last - first
         for p in range(first, last):
             s = pair_splat[p]
@@ -140,8 +136,19 @@ def blend_tiles(
             if remaining == 0:
                 used = p - first + 1
                 break
+        for p in range(first + used, last):
+            pair_weight[pair_slot[p]] = ZERO
         tile_used[tile] = used
         for block in range(BLOCKS * BLOCKS):
             for i in range(CHANNELS):
                 tile_state[tile, block, i] = buffer[block * stride + i]
         write_tile(buffer, stride, left, top, z_ref, features, normal, scalars)
+
+
+@kernel
+def largest_weights(slot_start: np.ndarray, pair_weight: np.ndarray, visible: np.ndarray) -> None:
+    """visible [N] = the largest of each splat's pair weights, 0 without any."""
+    for s in range(len(visible)):
+        visible[s] = ZERO
+        for slot in range(slot_start[s], slot_start[s + 1]):
+            visible[s] = max(visible[s], pair_weight[slot])

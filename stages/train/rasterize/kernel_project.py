@@ -8,7 +8,7 @@ import numpy as np
 
 from . import constants as k
 from .compiling import kernel
-from .simd import LANES, load, spread, store, take_ticket
+from .simd import LANES, TILE, load, spread, store, take_ticket
 
 # columns of the projected record: derivatives of u, v, q by pixel, centre, camera z, opacity, z / near, box, state
 UX, UY, VX, VY, QX, QY, CX, CY, Z, OPACITY, Q_MAX, LEFT, RIGHT, TOP, BOTTOM, STATE = range(16)
@@ -30,7 +30,7 @@ INVERSE_VARIANCE = _f(k.SCREEN_INVERSE_VARIANCE)
 HALF_ANGLE = _f(k.MAX_HALF_ANGLE_FRACTION)
 MARGIN = _f(k.BOUNDS_MARGIN_PX)
 INFINITY = _f(np.inf)
-ZERO = _f(0)
+ZERO, HALF = _f(0), _f(0.5)
 
 
 @kernel
@@ -80,6 +80,18 @@ def outline(X: float, z: float, ux: float, uz: float, vx: float, vz: float, r2: 
 
 
 @kernel
+def tile_range(low: float, high: float, size: int) -> tuple:
+    """First and last + 1 tile whose pixel centres (at +0.5) can lie in [low, high]; empty where none does."""
+    first = max(low - HALF, ZERO)
+    last = min(high - HALF, _f(size - 1))
+    if not last >= first:
+        return 0, 0
+    pixel = int(first)
+    pixel += int(pixel < first)  # rounded up; both are >= 0
+    return pixel // TILE, int(last) // TILE + 1
+
+
+@kernel
 def project(
     counters: np.ndarray,
     means: np.ndarray,
@@ -91,10 +103,18 @@ def project(
     lens: np.ndarray,
     near: float,
     screen_filter: bool,
+    width: int,
+    height: int,
     geo: np.ndarray,
     attributes: np.ndarray,
+    box: np.ndarray,
+    radii: np.ndarray,
 ) -> None:
-    """Fill geo [N, GEO] and attributes [N, A >= C + 3] (features, normal towards the camera). lens: fx, fy, cx, cy."""
+    """Project every splat; lens is fx, fy, cx, cy.
+
+    Fills geo [N, GEO]; attributes [N, A >= C + 3]: features, normal towards the camera, zeros; box [N, 4]: the tiles it can
+    touch; radii [N]: half the larger side of its bounding box, at most the image's, 0 where it cannot be seen.
+    """
     fx, fy = lens[0], lens[1]
     count, channels = len(means), features.shape[1]
     while True:
@@ -104,6 +124,8 @@ def project(
         for s in range(start, min(start + CHUNK, count)):
             g = geo[s]
             g[STATE] = CULLED
+            box[s, 0] = box[s, 1] = box[s, 2] = box[s, 3] = 0
+            radii[s] = ZERO
             m, q = means[s], quats[s]
             su, sv, opacity = scales[s, 0], scales[s, 1], opacities[s]
             z = camera[2, 0] * m[0] + camera[2, 1] * m[1] + camera[2, 2] * m[2] + camera[2, 3]
@@ -139,12 +161,18 @@ def project(
             g[TOP], g[BOTTOM] = g[CY] + min(fy * top, -radius) - MARGIN, g[CY] + max(fy * bottom, radius) + MARGIN
             g[Z], g[OPACITY], g[Q_MAX] = z, opacity, z / near
             g[STATE] = FLAT if flat else SOLID
+            box[s, 0], box[s, 1] = tile_range(g[LEFT], g[RIGHT], width)
+            box[s, 2], box[s, 3] = tile_range(g[TOP], g[BOTTOM], height)
+            if g[RIGHT] > 0 and g[LEFT] < width and g[BOTTOM] > 0 and g[TOP] < height:
+                radii[s] = min(HALF * max(g[RIGHT] - g[LEFT], g[BOTTOM] - g[TOP]), _f(max(width, height)))
             for c in range(channels):
                 attributes[s, c] = features[s, c]
             sign = _f(-1) if facing > 0 else _f(1)
             attributes[s, channels] = sign * wx
             attributes[s, channels + 1] = sign * wy
             attributes[s, channels + 2] = sign * wz
+            for c in range(channels + 3, attributes.shape[1]):
+                attributes[s, c] = ZERO
 
 
 @kernel

@@ -35,7 +35,8 @@ def run_on_all_cores(kernel: Callable[..., None], *arguments: Any) -> None:
     futures = [_helpers(helpers).submit(kernel, counters, *arguments) for _ in range(helpers)]
     kernel(counters, *arguments)
     for future in futures:
-        future.result()
+        if not future.cancel():  # a helper that has not begun by now has nothing left to do
+            future.result()
 
 
 def row_buffers(size: int) -> np.ndarray:
