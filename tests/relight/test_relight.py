@@ -1,0 +1,177 @@
+"""Relighting: any up axis, black outside the object, maps that are not maps, turntables of the written mesh."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pipeline.cameras import Camera, camera_from_opengl, save_cameras
+from pipeline.capture import Capture
+from pipeline.errors import UserError
+from pipeline.images import read_image, read_stokes, write_exr, write_mask, write_rgb
+from pipeline.lights.environment import Y_UP_FROM
+from pipeline.progress import Progress
+from pipeline.stage import StageRun
+from stages.relight.maps import read_map
+from stages.relight.stage import RelightParameters, needed
+from stages.relight.stage import run as run_stage
+from synth.environments import meadow
+from synth.orbit import look_at, orbit
+from synth.shape import vase
+
+SIZE = 40
+
+
+def gbuffer(camera: Camera, mesh) -> dict[str, np.ndarray]:
+    """The vase as a G-buffer, by ray casting."""
+    import open3d as o3d
+
+    vertices, faces, normals = mesh
+    scene = o3d.t.geometry.RaycastingScene()
+    scene.add_triangles(o3d.core.Tensor(vertices.astype(np.float32)), o3d.core.Tensor(faces.astype(np.uint32)))
+    rays = camera.rays().reshape(-1, 3)
+    both = np.concatenate([np.broadcast_to(camera.centre, rays.shape), rays], 1).astype(np.float32)
+    answer = scene.cast_rays(o3d.core.Tensor(both))
+    t = answer["t_hit"].numpy()
+    hit = np.isfinite(t)
+    u, v = answer["primitive_uvs"].numpy()[hit].T
+    corner = normals[faces[answer["primitive_ids"].numpy()[hit]]]
+    n = np.zeros((len(rays), 3))
+    n[hit] = np.einsum("nk,nkc->nc", np.stack([1 - u - v, u, v], -1), corner)
+    n[hit] /= np.linalg.norm(n[hit], axis=1, keepdims=True)
+    depth = np.where(hit, t, 0) * (rays @ camera.world_to_camera[2, :3])
+    flat = {f"N.{c}": n[:, k] for k, c in enumerate("XYZ")}
+    flat |= {f"albedo.{c}": hit * a for c, a in zip("RGB", (0.7, 0.3, 0.1))}
+    flat |= {"roughness": hit * 0.4, "ior": hit * 1.5, "alpha": hit * 1.0, "depth": depth}
+    return {k: a.reshape(SIZE, SIZE).astype(np.float32) for k, a in flat.items()}
+
+
+@pytest.fixture
+def relit(tmp_path):
+    """Function that lays out a dataset of two views, with a given up axis, and relights it."""
+
+    def go(up: str = "y", occlusion: bool = False, with_mask: bool = False, **parameters):
+        root = tmp_path / f"{up}{occlusion}{with_mask}"
+        turn = Y_UP_FROM[up]  # y-up frame from this world
+        shape = vase(48, 36)
+        mesh = (shape.vertices @ turn, shape.faces, shape.normals @ turn)
+        cameras = {}
+        for k, position in enumerate(orbit(2, 5.0, 10, 40)):
+            pose = np.eye(4)
+            pose[:3, :3], pose[:3, 3] = turn.T @ look_at(position)[:3, :3], turn.T @ position
+            cameras[f"v{k}"] = Camera(SIZE, SIZE, 80.0, 80.0, SIZE / 2, SIZE / 2, camera_from_opengl(pose))
+        train, poses, masks, out = (root / n for n in ("train", "poses", "masks", "out"))
+        for folder in (train, poses, masks, out):
+            folder.mkdir(parents=True)
+        save_cameras(poses / "cameras.json", cameras)
+        for name, camera in cameras.items():
+            write_exr(train / "gbuffer" / f"{name}.exr", gbuffer(camera, mesh))
+        facts = {"schema": 1, "up": up, "fresnel": "exact", "lobe": "ggx", "occlusion": occlusion}
+        (train / "lighting.json").write_text(json.dumps(facts))
+        write_rgb(root / "sky.hdr", meadow(32))
+        inputs = {"train": train, "poses": poses}
+        if with_mask:
+            half = np.zeros((SIZE, SIZE), bool)
+            half[:, : SIZE // 2] = True
+            for name in cameras:
+                write_mask(masks / f"{name}.png", half)
+            inputs["masks"] = masks
+        if occlusion or parameters.get("turntable"):
+            _write_mesh(root / "mesh", mesh)
+            inputs["mesh"] = root / "mesh"
+        capture = Capture(root, "made up", "multiview", "stokes", up=up)
+        run = StageRun(
+            capture, RelightParameters(cube=32, **parameters), inputs, out, root, environments=(root / "sky.hdr",),
+            progress=Progress(quiet=True),
+        )  # fmt: skip
+        run_stage(run)
+        return run
+
+    return go
+
+
+def _write_mesh(folder, mesh) -> None:
+    from stages.mesh.attributes import vertex_table
+    from stages.mesh.clean import Mesh
+    from stages.mesh.ply import write_ply
+
+    material = np.tile(np.array([0.7, 0.3, 0.1, 0.4, 1.5], np.float32), (len(mesh[0]), 1))
+    whole = Mesh(mesh[0], mesh[1], {"normal": mesh[2].astype(np.float32), "material": material})
+    folder.mkdir()
+    write_ply(folder / "mesh.ply", *vertex_table(whole), mesh[1])
+
+
+def test_every_view_is_lit_and_black_outside_the_object(relit):
+    run = relit()
+    for name in ("v0", "v1"):
+        stokes = read_stokes(run.output / "sky" / f"{name}.exr")
+        alpha = read_image(run.inputs["train"] / "gbuffer" / f"{name}.exr", ("alpha",))[..., 0]
+        assert (stokes[alpha == 0] == 0).all()
+        assert (stokes[alpha == 1][:, 0] > 0).all()
+        assert np.isfinite(stokes).all()
+        assert (run.output / "sky" / f"{name}.png").exists()
+    assert run.facts["occlusion"]["run"] is False
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("up", ["z", "-y", "x"])
+def test_up_axis_turns_the_map_with_the_capture(relit, up):
+    a = read_stokes(relit("y").output / "sky" / "v1.exr")
+    b = read_stokes(relit(up).output / "sky" / "v1.exr")
+    assert a[:, :, 0].max() > 0.1
+    assert np.abs(a - b).max() < 0.02 * a.max()
+    assert np.abs(a - b).mean() < 1e-4
+
+
+def test_nothing_is_drawn_outside_the_mask(relit):
+    stokes = read_stokes(relit(with_mask=True).output / "sky" / "v0.exr")
+    assert (stokes[:, SIZE // 2 + 1 :] == 0).all()
+    assert stokes[:, : SIZE // 2, 0].max() > 0
+
+
+@pytest.mark.slow
+def test_self_occlusion_darkens_the_bowl_and_brightens_nothing_by_much(relit):
+    free = read_stokes(relit().output / "sky" / "v1.exr")[:, :, 0]
+    run = relit(occlusion=True)
+    shadowed = read_stokes(run.output / "sky" / "v1.exr")[:, :, 0]
+    assert run.facts["occlusion"]["run"] is True
+    assert shadowed.sum() < 0.99 * free.sum()  # bounces give back most of it
+    assert (shadowed < 0.7 * free).any()
+    assert (shadowed <= 1.3 * free + 0.02).all()
+
+
+@pytest.mark.slow
+def test_turntable_shows_the_mesh_all_around(relit):
+    run = relit(turntable=3, turntable_size=48)
+    frames = [read_image(run.output / "sky" / "turntable" / f"{k:03d}.png") for k in range(3)]
+    shown = [(f.max(-1) > 0).mean() for f in frames]
+    assert 0.08 < min(shown) <= max(shown) < 0.8
+    assert np.abs(frames[0] - frames[1]).max() > 0.1
+    assert (run.output / "sky" / "turntable.webp").stat().st_size > 100
+
+
+def test_map_of_another_projection_is_refused(tmp_path):
+    write_rgb(tmp_path / "square.hdr", np.ones((8, 8, 3)))
+    with pytest.raises(UserError, match="twice as wide as high"):
+        read_map(tmp_path / "square.hdr")
+
+
+def test_bad_texels_are_black_and_told(tmp_path):
+    sky = meadow(8)
+    sky[0, 0] = np.nan
+    sky[1, 1] = -1
+    write_rgb(tmp_path / "sky.exr", sky)
+    radiance, faults = read_map(tmp_path / "sky.exr")
+    assert np.isfinite(radiance).all() and radiance.min() == 0
+    assert ["not finite" in faults[0], "negative" in faults[1]] == [True, True]
+
+
+def test_needed_only_where_there_are_maps_and_a_model(tmp_path):
+    views = tuple(object() for _ in range(9))
+    capture = Capture(tmp_path, "made up", "multiview", "stokes", views=views)
+    assert not needed(capture, RelightParameters()).run
+    assert needed(replace(capture, environments=(tmp_path / "a.hdr",)), RelightParameters()).run
+    assert not needed(replace(capture, views=views[:3], environments=(tmp_path / "a.hdr",)), RelightParameters()).run

@@ -1,0 +1,102 @@
+"""Pages are whole files: no links out, text escaped, sensible curves and scales."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+
+from pipeline.cameras import Camera, camera_from_opengl
+from pipeline.report import pictures
+from pipeline.report.curves import line_chart, nice_ticks
+from pipeline.report.figures import headlines, tables, text_of
+from pipeline.report.inspect import nearest_to_axes
+from pipeline.report.page import cost_rows, render, training_curves
+from synth.orbit import look_at, orbit
+
+
+def context(**changes):
+    base = {
+        "name": "a <b>capture</b>", "facts": ["16 views"], "tiles": [], "plan": [], "views": [], "environment": [], "relit": [],
+        "olat": [], "curves": [], "costs": cost_rows({"train": {"wall_s": 71.0, "peak_rss_mb": 1200, "outputs": []}}),
+        "tables": [], "warnings": [("decode", "<script>alert(1)</script>")], "parameters": {}, "packages": {},
+    }  # fmt: skip
+    return {**base, **changes}
+
+
+def test_report_links_to_nothing_and_escapes_text():
+    metrics = {"train": {"psnr_srgb": None, "why": {"psnr_srgb": "no truth <here>"}, "wall_s": 1.0}}
+    page = render("report.html.jinja", context(tables=tables(metrics), tiles=headlines({"mesh": {"chamfer_pct": 0.3}})))
+    assert "<script>alert" not in page
+    assert "a <b>" not in page
+    assert "no truth &lt;here&gt;" in page
+    assert "0.300" in page
+    assert not re.findall(r"(?:src|href)=[\"']?(?:https?:)?//", page)
+    assert "1 min 11 s" in page
+
+
+def test_pictures_are_data_and_never_enlarged():
+    small = np.zeros((10, 20, 3), np.uint8)
+    assert pictures.data_uri(small).startswith("data:image/png;base64,")
+    assert pictures.fit(small, 400).shape == (10, 20, 3)
+    assert pictures.fit(np.zeros((100, 200, 3), np.uint8), 50).shape == (25, 50, 3)
+
+
+def test_colours_of_angles_wrap_at_180_degrees():
+    full = np.ones((1, 1))
+    near, far = (pictures.angles(np.full((1, 1), a), full) for a in (np.pi / 2 - 1e-3, -np.pi / 2 + 1e-3))
+    assert np.abs(near.astype(int) - far).max() <= 1
+    across = pictures.angles(np.zeros((1, 1)), full)
+    assert np.abs(near.astype(int) - across).max() > 100
+
+
+def test_numbers_outside_a_scale_take_its_ends():
+    colours = pictures.scale(np.array([[-1.0, 0.0, 1.0, 9.0, np.nan]]), 0, 1)
+    assert np.array_equal(colours[0, 0], colours[0, 1])
+    assert np.array_equal(colours[0, 2], colours[0, 3])
+    assert np.array_equal(colours[0, 4], colours[0, 0])
+
+
+@pytest.mark.parametrize(("low", "high"), [(0, 1), (17.3, 31.9), (0, 4821), (-3, 3), (1e-6, 5e-6)])
+def test_ticks_are_few_and_inside(low, high):
+    ticks = nice_ticks(low, high)
+    assert 2 <= len(ticks) <= 8
+    assert low - 1e-9 <= ticks[0] <= ticks[-1] <= high + 1e-9 * high
+
+
+def test_curves_break_where_a_value_is_missing():
+    chart = line_chart([0, 1, 2, 3], {"psnr": [1, 2, float("nan"), 4]}, "wall time (s)", "PSNR (dB)")
+    assert chart.count("<polyline") == 2
+    assert line_chart([0], {"psnr": [1]}, "x", "y") == ""
+    assert line_chart([0, 1], {"psnr": [float("nan")] * 2}, "x", "y") == ""
+
+
+def test_training_log_becomes_charts(tmp_path):
+    log = tmp_path / "train_log.csv"
+    log.write_text(
+        "iteration,wall_s,psnr_validation,rgb,splats\n100,1.0,20.5,0.1,500\n200,2.0,,0.05,900\n300,3.5,24,0.02,950\n"
+    )
+    assert len(training_curves(log)) == 3
+    log.write_text("iteration,wall_s\n")
+    assert training_curves(log) == []
+
+
+def test_units_follow_the_name():
+    assert text_of("normal_mae_deg", 5.128) == "5.13°"
+    assert text_of("albedo_rel_median", 0.0065) == "0.65 %"
+    assert text_of("psnr_srgb", 31) == "31.00 dB"
+    assert text_of("polariser_error_deg", {"camA": 0.5, "camB": None}) == "camA 0.50°, camB –"
+    assert text_of("something_new_pct", 2) == "2.00 %"
+
+
+def test_viewing_axes_meet_at_the_object():
+    target = np.array([3.0, -1.0, 2.0])
+    cameras = [
+        Camera(8, 8, 9.0, 9.0, 4.0, 4.0, camera_from_opengl(look_at(target + p, target))) for p in orbit(7, 4.0, -10, 50)
+    ]
+    centres = np.stack([c.centre for c in cameras])
+    axes = np.stack([c.world_to_camera[2, :3] for c in cameras])
+    assert nearest_to_axes(centres, axes) == pytest.approx(target, abs=1e-9)
+    parallel = np.broadcast_to([0.0, 0, 1], axes.shape)
+    assert nearest_to_axes(centres, parallel) == pytest.approx(centres.mean(0))

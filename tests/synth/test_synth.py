@@ -1,0 +1,98 @@
+"""The synthetic captures: closed object, repeatable rendering, physics as the conventions say."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pipeline.capture import open_capture
+from pipeline.images import read_image, read_stokes
+from synth.environments import ENVIRONMENTS, directions
+from synth.shape import vase
+
+RGB = ("R", "G", "B")
+
+
+@pytest.fixture(scope="module")
+def captures(tmp_path_factory):
+    """A very small pair of captures: 2 views of 32x32, 6 lights."""
+    pytest.importorskip("mitsuba")
+    from synth import lightstage, views
+
+    root = tmp_path_factory.mktemp("synth")
+    views.make(root / "views", size=32, views=2, spp=16, seed=3)
+    lightstage.make(root / "stage", size=32, lights=6, spp=16, seed=3)
+    return root
+
+
+def test_object_is_closed_outward_and_smooth():
+    shape = vase(48, 40)
+    corner = shape.vertices[shape.faces]
+    volume = np.einsum("ij,ij->i", corner[:, 0], np.cross(corner[:, 1], corner[:, 2])).sum() / 6
+    assert volume > 1
+    _, welded = np.unique(shape.vertices.round(9), axis=0, return_inverse=True)
+    faces = welded.ravel()[shape.faces]
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    forward, backward = edges[:, 0] * 10**6 + edges[:, 1], edges[:, 1] * 10**6 + edges[:, 0]
+    assert np.array_equal(np.sort(forward), np.sort(backward))
+    assert np.allclose(np.linalg.norm(shape.normals, axis=1), 1)
+
+
+def test_object_is_not_convex():
+    shape = vase(48, 40)
+    centre = shape.vertices[shape.faces].mean(1)
+    normal = shape.normals[shape.faces[:, 0]]
+    beyond = ((shape.vertices[None, ::7] - centre[::11, None]) * normal[::11, None]).sum(-1).max(1)
+    assert (beyond > 0.05).mean() > 0.2
+
+
+@pytest.mark.parametrize("name", sorted(ENVIRONMENTS))
+def test_environments_are_positive_and_high_range(name):
+    sky = ENVIRONMENTS[name](32)
+    assert sky.shape == (32, 64, 3)
+    assert sky.min() > 0
+    assert sky.max() > 2
+    assert np.allclose(np.linalg.norm(directions(8), axis=-1), 1)
+
+
+def test_captures_are_recognised(captures):
+    views = open_capture(captures / "views")
+    assert (views.kind, views.polarisation, len(views.views)) == ("multiview", "stokes", 2)
+    assert len(views.cameras) == 2
+    assert isinstance(views.masks, dict)
+    stage = open_capture(captures / "stage")
+    assert stage.kind == "light_stage"
+    assert len(stage.light_stage.lights) == 6
+
+
+def test_same_seed_gives_the_same_bytes(captures, tmp_path):
+    from synth import views
+
+    views.make(tmp_path / "views", size=32, views=2, spp=16, seed=3)
+    for name in ("images/000.exr", "masks/001.png", "gt/normal/001.exr", "gt/relight/studio/000.exr"):
+        assert (tmp_path / "views" / name).read_bytes() == (captures / "views" / name).read_bytes()
+
+
+def test_views_are_physical_and_black_outside(captures):
+    stokes = read_stokes(captures / "views" / "images" / "000.exr").astype(float)
+    mask = read_image(captures / "views" / "masks" / "000.png")[..., 0]
+    assert np.abs(stokes[mask == 0]).max() == 0
+    s0, polarised = stokes[:, :, 0].mean(-1), np.hypot(stokes[:, :, 1].mean(-1), stokes[:, :, 2].mean(-1))
+    assert (polarised[mask > 0.99] <= s0[mask > 0.99]).all()
+    assert polarised[mask > 0.99].max() > 0.01
+
+
+def test_stage_frames_follow_the_lambert_law(captures):
+    """Irradiance pi per light: where nothing shadows, cross = albedo (n.l) / 2."""
+    stage = open_capture(captures / "stage")
+    truth = np.load(captures / "stage" / "cam00" / "gt" / "maps.npz")
+    inside = truth["mask"] > 0.99
+    for k, light in enumerate(stage.light_stage.lights.directions):
+        cross = read_image(captures / "stage" / "cam00" / "cross" / f"{k:06d}.exr", RGB)[inside]
+        expected = 0.5 * truth["albedo"][inside] * np.maximum(truth["normal"][inside] @ light, 0)[:, None]
+        lit = expected.mean(-1) > 0.1
+        if lit.sum() > 20:
+            ratio = cross[lit].mean(-1) / expected[lit].mean(-1)
+            assert np.median(ratio) == pytest.approx(1.0, abs=0.05)  # inter-reflection adds a few percent
+            return
+    pytest.fail("no light is in front of the object")
