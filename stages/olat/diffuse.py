@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 from numba import njit
 
 from pipeline.lights.numerics import FAST, HALF, ONE, ZERO, kth_largest, solve3
@@ -16,8 +15,8 @@ from pipeline.lights.numerics import FAST, HALF, ONE, ZERO, kth_largest, solve3
 START_FRACTION = 0.3  # of the fifth-brightest sample: above it a light is surely not shadowed
 TUNING = 2.5  # Geman-McClure scale in standard deviations of the residual
 SCALE_FLOOR = 4e-3  # of the brightest possible sample: half floats and path-tracing noise; below it weights are all one
-SHADOWED = np.float32(0.5)  # a sample under this fraction of its prediction is in shadow
-GRAZING = np.float32(0.02)  # cosine below which a light says nothing about the normal
+SHADOWED = 0.5  # a sample under this fraction of its prediction is in shadow
+GRAZING = 0.02  # cosine below which a light says nothing about the normal
 MAD = 1.4826  # standard deviation of a normal distribution over its median absolute deviation
 
 
@@ -49,7 +48,7 @@ def _threshold(light, ok, level, weight):
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
-def _reweight(light, ok, wx, wy, wz, bx, by, bz, grazing, inverse, weight):
+def _reweight(light, ok, wx, wy, wz, bx, by, bz, grazing, shadowed, inverse, weight):
     """Geman-McClure weights of lights that are not shadowed; returns the weighted square residual and the weights' sum."""
     ss = sw = ZERO * light[0]
     for k in range(light.size):
@@ -58,7 +57,7 @@ def _reweight(light, ok, wx, wy, wz, bx, by, bz, grazing, inverse, weight):
         t = r * inverse
         u = ONE / (ONE + t * t)
         w = ok[k] * u * u
-        w = w if (p > grazing) and (light[k] > SHADOWED * p) else ZERO
+        w = w if (p > grazing) and (light[k] > shadowed * p) else ZERO
         weight[k] = w
         ss += w * r * r
         sw += w
@@ -70,18 +69,18 @@ def _residual_scale(light, ok, wx, wy, wz, bx, by, bz, grazing, work, scratch):
     n = 0
     for k in range(light.size):
         p = bx * wx[k] + by * wy[k] + bz * wz[k]
-        if ok[k] > 0 and p > grazing and light[k] > SHADOWED * p:
+        if ok[k] > 0 and p > grazing and light[k] > 0.5 * p:
             work[n] = abs(light[k] - p)
             n += 1
     return MAD * kth_largest(work, n, n // 2, scratch) if n > 0 else 0.0
 
 
 @njit(cache=True, error_model="numpy")
-def fit_normal(light, ok, wx, wy, wz, rounds, weight, work, scratch):
+def fit_normal(light, ok, wx, wy, wz, rounds, plain, weight, work, scratch):
     """Scaled diffuse normal `m` = (albedo x normal) of one pixel.
 
     light [N]: I_d over irradiance factor; ok [N]: 1 usable, 0 not; w [N]: directions to the lights; `weight` [N] is
-    filled with the final weights. Returns (mx, my, mz, residual scale, lights in use, solved).
+    filled with the final weights; plain: every light before the surface counts fully, PRF Eq. 12. Returns (mx, my, mz, residual scale, lights in use, solved).
     """
     usable = 0
     for k in range(light.size):
@@ -95,7 +94,7 @@ def fit_normal(light, ok, wx, wy, wz, rounds, weight, work, scratch):
     solved = False
     mx = my = mz = 0.0
     if top > 0:
-        for fraction in (START_FRACTION, 0.1, 0.02, 0.0):
+        for fraction in (0.0 if plain else START_FRACTION, 0.1, 0.02, 0.0):
             n = _threshold(light, ok, light.dtype.type(fraction * top), weight)
             if n >= 3:
                 a, b, c, d, e, f, x, y, z = _normal_equations(light, wx, wy, wz, weight)
@@ -112,7 +111,10 @@ def fit_normal(light, ok, wx, wy, wz, rounds, weight, work, scratch):
         if step < 3:
             scale = _residual_scale(light, ok, wx, wy, wz, bx, by, bz, grazing, work, scratch)
         scale = max(scale, SCALE_FLOOR * size)
-        ss, sw = _reweight(light, ok, wx, wy, wz, bx, by, bz, grazing, kind(1.0 / (TUNING * scale)), weight)
+        inverse, shadowed = kind(0.0 if plain else 1.0 / (TUNING * scale)), kind(-1e30 if plain else SHADOWED)
+        if plain:
+            grazing = ZERO
+        ss, sw = _reweight(light, ok, wx, wy, wz, bx, by, bz, kind(grazing), shadowed, inverse, weight)
         a, b, c, d, e, f, x, y, z = _normal_equations(light, wx, wy, wz, weight)
         nx, ny, nz, fine = solve3(a, b, c, d, e, f, x, y, z)
         if not fine or sw < 3.0 * HALF:

@@ -9,6 +9,7 @@ from numba import njit
 
 from pipeline.lights.lobes import values
 from pipeline.lights.numerics import FAST, ZERO
+from stages.olat.crossed import crossed_values, fit_crossed, shape_of
 from stages.olat.specular import (
     LOBE_FRACTION,
     frame_about,
@@ -22,31 +23,33 @@ RELATIVE = np.float32(0.2)  # of a sample: model error at which the robust weigh
 ABSOLUTE = 0.02  # of the brightest sample: the same for dim samples
 ROUND = 0.03  # anisotropy below which a lobe counts as round
 DISAGREE = math.cos(math.radians(3.0))  # of n_s and n_d: further apart, n_d is tried as a start
+CROSSED_MISFIT = 0.05**2  # of the samples' square norm: a lobe that misses more may be two
 ROUND_STEPS = 3  # Levenberg-Marquardt steps between two reweightings
 
 
 @njit(cache=True, error_model="numpy")
 def fit_lobe(
-    settings, o, n_d, solved, half, incident, light, floor, use, area, cosine, weight, g, top, noise, frame, shape, rho
+    settings, o, n_d, prior, solved, half, incident, light, floor, use, area, cosine, weight, g, top, noise, frame, shape, rho
 ):
     """Fit one pixel's lobe in place on (frame, shape, rho[0]).
 
     half, incident [3, N], light, floor, use, area (sr), cosine (h·o) [N]: the lights before the surface; weight, g [N]: workspace,
-    left with the final weights and the lobe's values; top, noise: brightest sample and deviation; n_d held to where `solved`.
-    Returns (gradient norm, passes).
+    left with the final weights and the lobe's values; top, noise: brightest sample and deviation; prior: strength of
+    the tie to n_d where `solved`, negative where n_d is simply given.
+    Returns (gradient norm, passes, share of the stronger of two crossed lobes: 1 where one lobe is kept).
     """
     kind = light.dtype.type
     absolute = kind(ABSOLUTE * top + 3 * noise)
     level = LOBE_FRACTION * top
     samples = (half, incident, light, floor, use, weight, g)
     round_start(light, use, level, area, half, cosine, frame, shape)
-    stiff = solved and settings.prior > 0
-    cost, passes = _rounds(settings, frame, shape, rho, o, n_d, stiff, absolute, True, samples)
+    stiff = prior < 0 or (solved and prior > 0)
+    cost, passes = _rounds(settings, prior, frame, shape, rho, o, n_d, stiff, absolute, True, samples)
     agree = n_d[0] * frame[2, 0] + n_d[1] * frame[2, 1] + n_d[2] * frame[2, 2]
     if solved and agree < DISAGREE and n_d[0] * o[0] + n_d[1] * o[1] + n_d[2] * o[2] > 0.02:
         frame2, shape2, rho2 = np.empty((3, 3)), shape.copy(), rho.copy()
         frame_about(n_d[0], n_d[1], n_d[2], frame2)
-        other, more = _rounds(settings, frame2, shape2, rho2, o, n_d, stiff, absolute, True, samples)
+        other, more = _rounds(settings, prior, frame2, shape2, rho2, o, n_d, stiff, absolute, True, samples)
         passes += more
         if other < cost:
             cost, frame[:], shape[:], rho[0] = other, frame2, shape2, rho2[0]
@@ -56,7 +59,7 @@ def fit_lobe(
     shape2[0] += shift
     shape2[1] += shift
     shape2[2] *= math.exp(shift)
-    other, more = _rounds(settings, frame2, shape2, rho2, o, n_d, stiff, absolute, False, samples)
+    other, more = _rounds(settings, prior, frame2, shape2, rho2, o, n_d, stiff, absolute, False, samples)
     passes += more
     large, small, _ = widths(shape2)
     anisotropic = other < settings.gain * cost and (large - small) > ROUND * (large + small)
@@ -64,11 +67,50 @@ def fit_lobe(
         frame[:], shape[:], rho[0] = frame2, shape2, rho2[0]
     values(settings.lobe, frame, shape, o, half, incident, g)
     reweight(g, kind(rho[0]), light, use, absolute, RELATIVE, weight)
-    stiffness = _stiffness(settings.prior, g, kind(rho[0]), light, use, weight) if stiff else 0.0
+    stiffness = _stiffness(prior, g, kind(rho[0]), light, use, weight) if stiff else 0.0
     _, norm, more = optimise(settings.lobe, frame, shape, rho, o, half, incident, light, floor, weight, not anisotropic,
                              stiffness, n_d, settings.steps, settings.tolerance)  # fmt: skip
+    passes += more
     values(settings.lobe, frame, shape, o, half, incident, g)
-    return norm, passes + more
+    large, small, angle = widths(shape)
+    miss, data = _misfit(g, kind(rho[0]), light, floor, use)
+    share = 1.0
+    if (
+        settings.crossed > 0
+        and prior >= 0
+        and miss > CROSSED_MISFIT * data
+        and (large - small) > settings.crossed_from * (large + small)
+    ):
+        frame2, x = frame.copy(), np.empty(6)
+        tie = prior * miss / max(float(light.size), 1.0) * (1.0 + 100.0 * miss / data) if stiff else 0.0
+        _, more = fit_crossed(settings.lobe, frame2, x, large, small, angle, rho[0], o, half, incident, light, floor, use, tie, n_d,
+                              settings.tolerance)  # fmt: skip
+        passes += more
+        crossed_values(settings.lobe, frame2, x, o, half, incident, weight)
+        other, _ = _misfit(weight, kind(1.0), light, floor, use)
+        if other < settings.crossed * miss and x[4] + x[5] > 0:
+            first = 0 if x[4] >= x[5] else 1
+            slope = np.empty((3, 3))
+            frame[:], rho[0] = frame2, x[4] + x[5]
+            shape_of(x[0], x[1], x[2 + first], shape, slope)
+            share = x[4 + first] / rho[0]
+            for k in range(light.size):
+                g[k] = weight[k] / kind(rho[0])
+        for k in range(light.size):
+            weight[k] = use[k]
+    return norm, passes, share
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def _misfit(g, rho, light, floor, use):
+    """Square sums of the residual and of the samples."""
+    s = data = ZERO * rho
+    for k in range(g.size):
+        r = rho * g[k] - light[k]
+        r = r if floor[k] == ZERO else min(r, ZERO)
+        s += use[k] * r * r
+        data += use[k] * light[k] * light[k]
+    return float(s), float(data)
 
 
 @njit(cache=True, error_model="numpy")
@@ -80,7 +122,7 @@ def round_start(light, use, level, area, half, cosine, frame, shape):
 
 
 @njit(cache=True, error_model="numpy")
-def _rounds(settings, frame, shape, rho, o, n_d, stiff, absolute, isotropic, samples):
+def _rounds(settings, prior, frame, shape, rho, o, n_d, stiff, absolute, isotropic, samples):
     """Reweighted Levenberg-Marquardt rounds in place; returns the robust cost at their end and the passes."""
     half, incident, light, floor, use, weight, g = samples
     kind = light.dtype.type
@@ -89,7 +131,7 @@ def _rounds(settings, frame, shape, rho, o, n_d, stiff, absolute, isotropic, sam
     passes = 0
     for _ in range(settings.robust):
         reweight(g, kind(rho[0]), light, use, absolute, RELATIVE, weight)
-        stiffness = _stiffness(settings.prior, g, kind(rho[0]), light, use, weight) if stiff else 0.0
+        stiffness = _stiffness(prior, g, kind(rho[0]), light, use, weight) if stiff else 0.0
         _, _, more = optimise(settings.lobe, frame, shape, rho, o, half, incident, light, floor, weight, isotropic,
                               stiffness, n_d, ROUND_STEPS, settings.tolerance)  # fmt: skip
         passes += more
@@ -109,6 +151,8 @@ def _stiffness(prior, g, rho, light, use, weight):
         data += use[k] * light[k] * light[k]
     if not (n > ZERO and data > ZERO):
         return 0.0
+    if prior < 0:  # the normal is given: a tie that nothing in the samples can stretch
+        return 1e8 * data
     return prior * (s / n) * (1.0 + 100.0 * all_s / data)  # doubled where the lobe misses a tenth of the samples
 
 

@@ -12,12 +12,25 @@ from pipeline.lights.lobes import values
 from pipeline.lights.numerics import FAST, HALF, ONE, ZERO
 from stages.olat.diffuse import fit_normal
 from stages.olat.lobe_fit import ROUND, fit_lobe, linear_albedo, round_start
+from stages.olat.paper import (
+    CORRELATION,
+    JOINT,
+    correlation,
+    correlation_normal,
+    gradient_direction,
+    lambert,
+    remove_overexposure,
+    total,
+)
 from stages.olat.specular import LOBE_FRACTION, SIGMA_MAX, frame_about, half_vectors, start_normal, widths
 
 GOOD, TOO_FEW, SATURATED, BLACK, NO_LOBE, BAD_SAMPLES = range(6)
 BAD_SHARE = 0.1  # of a pixel's samples that may be not finite before the pixel is flagged
 NOISE_FLOOR = 1e-3  # of the brightest sample: half floats are this coarse
+FIXED = -1.0  # tie of a normal that is not to move
 UNKNOWN = 1e6  # variance (rad²) of a normal that was not measured
+ONE_WAY = 0.7  # of the light in one of two crossed lobes: below it the pixel has no one tangent
+LIT_LIGHTS = 4  # three determine a normal and its albedo exactly; only a fourth can contradict them
 EFFECTIVE_LIGHTS = 3.0  # a lobe seen by fewer has no width
 
 MAPS = {
@@ -74,7 +87,15 @@ class Settings(NamedTuple):
     specular_factor: float
     irradiance: float
     gain: float  # share of the round lobe's robust cost that an anisotropic one must beat
+    crossed: float  # share of one lobe's misfit that two crossed lobes must beat (0: never tried)
+    crossed_from: float  # anisotropy of the single lobe from which they are tried
     prior: float  # strength of the tie of n_s to n_d: inverse square of the angle (rad) they may differ by
+    plain: bool  # diffuse fit without robust weights (PRF Eq. 12)
+    specular_fit: int  # how n_s is found, `paper.SPECULAR_FITS`
+    fuse_correlation: bool  # fuse the normals by correlation (PRF) instead of inverse variance
+    printed_maps: bool  # occlusion and inter-reflection as PRF Eqs. 4 and 5 print them
+    remove: bool  # clipped samples by PRF Algorithm 1 instead of as bounds
+    gradient: bool  # gradient illumination alone (Ma et al. 2007)
 
 
 class Room(NamedTuple):
@@ -112,13 +133,12 @@ def make_room(n, like):
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
-def separate(cross, parallel, energy, settings, room):
+def separate(cross, parallel, energy, settings, level, room):
     """I_d = 2 I_x and I_s = f (I_p - I_x) per unit of irradiance; marks samples that are not finite or clipped.
 
     cross, parallel [3, N]. Returns (samples that are bad, clipped, brightest diffuse, brightest specular).
     """
     kind = energy.dtype.type
-    level = kind(settings.saturation)
     scale_d = kind(2.0 * math.pi / settings.irradiance)
     scale_s = kind(settings.specular_factor / (3.0 * settings.irradiance))
     third = kind(1.0 / 3.0)
@@ -243,6 +263,30 @@ def _specular_maps(room, n, g, rho, zeta, all_area, w, nx, ny, nz, out):
 
 
 @njit(cache=True, error_model="numpy")
+def _printed_maps(light, room, w, n, zeta, out, specular):
+    """PRF Eqs. 4 and 5 as printed: every light counts alike, 4/N normalises, `I > zeta` is visible."""
+    lit = seen = front = r = g = b = 0.0
+    for k in range(light.size):
+        p = n[0] * w[0, k] + n[1] * w[1, k] + n[2] * w[2, k]
+        arrives = light[k] > zeta and room.ok[k] > 0
+        if p > 0:
+            front += 1
+            if arrives:
+                seen += 1
+                lit += p
+        elif arrives:
+            r -= p * (light[k] if specular else room.rgb[0, k])
+            g -= p * room.rgb[1, k]
+            b -= p * room.rgb[2, k]
+    visible = seen / front if front > 0 else 0.0
+    if specular:
+        out[OCCLUSION_S], out[VISIBILITY_S], out[INTER_S] = 4 * lit / light.size, visible, max(r, 0.0)
+    else:
+        out[OCCLUSION_D], out[VISIBILITY_D] = 4 * lit / light.size, visible
+        out[INTER_D], out[INTER_D + 1], out[INTER_D + 2] = max(r, 0.0), max(g, 0.0), max(b, 0.0)
+
+
+@njit(cache=True, error_model="numpy")
 def _gather(room, w, area, n_d, solved):
     """Lights before the surface, packed: their directions, half vectors, samples and whether they are seen."""
     n = 0
@@ -270,22 +314,29 @@ def fit_pixel(cross, parallel, w, o, area, energy, settings, room, out):
     """
     kind = energy.dtype.type
     out[:] = 0.0
-    bad, clipped, top_d, top_s = separate(cross, parallel, energy, settings, room)
     count = energy.size
-    flag = GOOD
-    if bad > BAD_SHARE * count:
-        flag = BAD_SAMPLES
+    level = settings.saturation
+    if settings.remove and level < np.inf:
+        for c in range(3):
+            delta = kind(max(np.mean(parallel[c]), 0.0))
+            remove_overexposure(cross[c], level, room.front, delta)
+            remove_overexposure(parallel[c], level, room.front, delta)
+        level = np.inf
+    bad, clipped, top_d, top_s = separate(cross, parallel, energy, settings, kind(level), room)
+    flag = BAD_SAMPLES if bad > BAD_SHARE * count else GOOD
     if not (top_d > 0 or top_s > 0):
-        out[FLAG] = BAD_SAMPLES if bad > BAD_SHARE * count else BLACK
-        if clipped * 2 > count:
-            out[FLAG] = SATURATED
+        out[FLAG] = SATURATED if clipped * 2 > count else (BLACK if flag == GOOD else flag)
         for k in range(3):
             out[NORMAL_D + k] = out[NORMAL_S + k] = out[NORMAL + k] = o[k]
         return 0.0, 0
 
+    if settings.gradient:
+        _gradient(room, w, o, area, flag, out)
+        return 0.0, 0
+
     # diffuse
-    mx, my, mz, scale, usable, solved = fit_normal(
-        room.diffuse, room.ok, w[0], w[1], w[2], settings.rounds, room.weight, room.work, room.scratch
+    mx, my, mz, scale, _, solved = fit_normal(
+        room.diffuse, room.ok, w[0], w[1], w[2], settings.rounds, settings.plain, room.weight, room.work, room.scratch
     )
     size = math.sqrt(mx * mx + my * my + mz * mz)
     solved = solved and size > 0
@@ -299,13 +350,22 @@ def fit_pixel(cross, parallel, w, o, area, energy, settings, room, out):
         for k in range(3):
             out[ALBEDO_D + k] = max(out[ALBEDO_D + k], 0.0)
         in_use = 0.0
+        lit = 0
         for k in range(count):
             in_use += room.weight[k]
+            lit += 1 if room.weight[k] > 0.25 else 0
+        if lit < LIT_LIGHTS and flag == GOOD:
+            flag = TOO_FEW  # solved, but with nothing to spare
         variance_d = (scale / size) ** 2 * 3.0 / max(in_use, 1.0)
         zeta = 2 * _behind(room.diffuse, room.ok, w[0], w[1], w[2], nx, ny, nz) + NOISE_FLOOR * top_d
         square_d, data_d = _diffuse_maps(room, w, area, n_d[0], n_d[1], n_d[2], size, zeta, out)
+        if settings.printed_maps:
+            _printed_maps(room.diffuse, room, w, n_d, zeta, out, False)
     elif flag == GOOD:
         flag = SATURATED if clipped * 2 > count else TOO_FEW
+        x, y, z, found = gradient_direction(room.diffuse, room.ok, w, area)
+        if found:
+            n_d = (x, y, z)
     for k in range(3):
         out[NORMAL_D + k] = n_d[k]
 
@@ -328,18 +388,37 @@ def fit_pixel(cross, parallel, w, o, area, energy, settings, room, out):
         for k in range(3):
             out[NORMAL_D + k] = n_s[k]
 
-    # fusion by inverse variance
     a, b = 1.0 / variance_d, 1.0 / variance_s
+    if settings.fuse_correlation and solved and fitted:
+        lambert(n_d, w, room.scratch)
+        a = correlation(room.scratch, room.diffuse, room.use)
+        b = correlation(room.lobe[:n], room.light[:n], room.seen[:n])
     x, y, z = a * n_d[0] + b * n_s[0], a * n_d[1] + b * n_s[1], a * n_d[2] + b * n_s[2]
     length = math.sqrt(x * x + y * y + z * z)
     if length > 0:
         out[NORMAL], out[NORMAL + 1], out[NORMAL + 2] = x / length, y / length, z / length
     else:
         out[NORMAL], out[NORMAL + 1], out[NORMAL + 2] = n_d[0], n_d[1], n_d[2]
-    total = data_d / (math.pi * math.pi) + data_s
-    out[RESIDUAL] = math.sqrt((square_d / (math.pi * math.pi) + square_s) / total) if total > 0 else 0.0
+    data = data_d / (math.pi * math.pi) + data_s
+    out[RESIDUAL] = math.sqrt((square_d / (math.pi * math.pi) + square_s) / data) if data > 0 else 0.0
     out[FLAG] = flag
     return norm, passes
+
+
+@njit(cache=True, error_model="numpy")
+def _gradient(room, w, o, area, flag, out):
+    """Ma et al. 2007: normals from the three gradients, albedos from the sums; no lobe, no refinement."""
+    x, y, z, found = gradient_direction(room.diffuse, room.ok, w, area)
+    n = (x, y, z) if found else (o[0], o[1], o[2])
+    x, y, z, shines = gradient_direction(room.specular, room.ok, w, area)
+    x, y, z = x + o[0], y + o[1], z + o[2]
+    size = math.sqrt(x * x + y * y + z * z)
+    m = (x / size, y / size, z / size) if shines and size > 1e-6 else n
+    for k in range(3):
+        out[NORMAL_D + k], out[NORMAL_S + k], out[NORMAL + k] = n[k], m[k], n[k]
+        out[ALBEDO_D + k] = max(total(room.rgb[k], room.ok, area) / math.pi, 0.0)
+    out[ALBEDO_S] = max(total(room.specular, room.ok, area), 0.0)
+    out[FLAG] = flag if found else TOO_FEW
 
 
 @njit(cache=True, error_model="numpy")
@@ -351,7 +430,7 @@ def _specular(n, w, o, area, settings, n_d, solved, top_d, room, out):
     half = (room.half[0, :n], room.half[1, :n], room.half[2, :n])
     incident = (room.incident[0, :n], room.incident[1, :n], room.incident[2, :n])
     half_vectors(incident[0], incident[1], incident[2], kind(o[0]), kind(o[1]), kind(o[2]), half[0], half[1], half[2], cosine)
-    top = noise = total = squares = clipped = negative = 0.0
+    top = noise = whole = squares = clipped = negative = 0.0
     for j in range(n):
         v = light[j]
         if v < 0:
@@ -359,7 +438,7 @@ def _specular(n, w, o, area, settings, n_d, solved, top_d, room, out):
             negative += 1
         elif use[j] > 0:
             top = max(top, v)
-            total += v
+            whole += v
             squares += v * v
             clipped += v if floor[j] > 0 else 0.0
     noise = math.sqrt(noise / negative) if negative > 0 else 0.0
@@ -372,11 +451,18 @@ def _specular(n, w, o, area, settings, n_d, solved, top_d, room, out):
     if x * o[0] + y * o[1] + z * o[2] < 0.02 and solved:
         x, y, z = n_d
     frame, shape, rho = np.empty((3, 3)), np.empty(3), np.empty(1)
+    tie, tied = settings.prior, n_d
+    if settings.specular_fit == CORRELATION:
+        a, b, c, found = correlation_normal(light, use, incident, o)
+        if found and a * o[0] + b * o[1] + c * o[2] > 0.02:
+            x, y, z = a, b, c
+    if settings.specular_fit != JOINT:
+        tie, tied, solved = FIXED, (x, y, z), False
     frame_about(x, y, z, frame)
-    flag, norm, passes = GOOD, 0.0, 0
-    if clipped > 0.5 * total:
+    flag, norm, passes, share = GOOD, 0.0, 0, 1.0
+    if clipped > 0.5 * whole:
         flag = SATURATED
-    if total * total < EFFECTIVE_LIGHTS * squares:  # too narrow for the rig, or all but hidden: half vectors, moments, no fit
+    if whole * whole < EFFECTIVE_LIGHTS * squares:  # too narrow for the rig, or all but hidden: half vectors, moments, no fit
         flag = TOO_FEW if flag == GOOD else flag
         round_start(light, use, LOBE_FRACTION * top, areas, half, cosine, frame, shape)
         if solved and clipped == 0 and samples < EFFECTIVE_LIGHTS:
@@ -385,9 +471,9 @@ def _specular(n, w, o, area, settings, n_d, solved, top_d, room, out):
         for j in range(n):
             weight[j] = use[j]
     else:
-        norm, passes = fit_lobe(settings, o, n_d, solved, half, incident, light, floor, use, areas, cosine, weight, g, top,
+        norm, passes, share = fit_lobe(settings, o, tied, tie, solved, half, incident, light, floor, use, areas, cosine, weight, g, top,
                                 noise, frame, shape, rho)  # fmt: skip
-    rho[0] = linear_albedo(g, light, weight, floor)
+    rho[0] = linear_albedo(g, light, weight, floor) if share == 1.0 else rho[0]
     large, small, angle = widths(shape)
     if not (math.isfinite(large) and math.isfinite(small) and math.isfinite(rho[0]) and math.isfinite(frame[2, 0])):
         return nothing
@@ -397,12 +483,14 @@ def _specular(n, w, o, area, settings, n_d, solved, top_d, room, out):
     out[SIGMA], out[SIGMA + 1] = large, small
     out[ROUGHNESS] = (large * small) ** 0.25
     out[ANISOTROPY] = (large - small) / (large + small)
-    if out[ANISOTROPY] > ROUND:
+    if out[ANISOTROPY] > ROUND and share > ONE_WAY:
         for k in range(3):
             out[TANGENT + k] = math.cos(angle) * frame[0, k] + math.sin(angle) * frame[1, k]
     n_s = (frame[2, 0], frame[2, 1], frame[2, 2])
     zeta = 2 * noise + 0.01 * top
     square, data = _specular_maps(room, n, g, rho[0], zeta, area, w, n_s[0], n_s[1], n_s[2], out)
-    in_lobe = max(total * total / squares, 1.0)
+    if settings.printed_maps:
+        _printed_maps(room.specular, room, w, n_s, zeta, out, True)
+    in_lobe = max(whole * whole / squares, 1.0)
     variance = (square / max(data, 1e-30) + 1e-6) * large * small / in_lobe + (1.0 if flag != GOOD else 0.0)
     return True, n_s, norm, passes, variance, square, data, flag

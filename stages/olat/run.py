@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,15 +18,20 @@ from pipeline.lights.lobes import LOBES
 from pipeline.lights.solid_angles import solid_angles
 from pipeline.stage import StageRun
 from stages.olat.fit import fit
-from stages.olat.frames import bands_of, is_half, read_bands
+from stages.olat.frames import Band, bands_of, is_half, read_bands
 from stages.olat.maps_out import MapWriter
-from stages.olat.pixel import FLAG, Settings
+from stages.olat.paper import SPECULAR_FITS
+from stages.olat.pixel import FLAG, RESIDUAL, Settings, columns
 from stages.olat.preview import write_preview
 from stages.olat.stage import OlatParameters, every
 
 FLAGS = ("good", "too few lights", "saturated", "black", "no lobe", "bad samples")
 PRIOR = (1 / np.radians(0.5)) ** 2  # n_s and n_d of one surface agree to about half a degree
 GAIN = 0.9
+CROSSED = 0.7
+CROSSED_FROM = 0.15
+PILOT = 1200  # pixels on which the lobe is chosen
+LEAST_LIGHT = 0.05
 TOLERANCE = {"float32": 3e-6, "float64": 1e-12}
 
 
@@ -54,8 +59,14 @@ def run(stage: StageRun) -> None:
     stage.note("overexposure", {"run": bound, "reason": why if parameters.overexposure != "off" else "overexposure=off"})
     stage.note("lights", {"used": len(rig), "of": len(index["lights"]["directions"])})
     settings = settings_of(parameters, stage.capture.config.olat, float(level) if bound else np.inf)
-    for name, entry in index["cameras"].items():
-        fit_camera(stage, camera_job(stage, name, entry, step), rig, settings)
+    jobs = [camera_job(stage, name, entry, step) for name, entry in index["cameras"].items()]
+    settings = choose_lobe(stage, jobs[0], rig, settings)
+    lobe = next(name for name, value in LOBES.items() if value == settings.lobe)
+    stage.note("lobe", lobe)
+    facts = {"schema": 1, "lobe": lobe, "sigma": "Beckmann/Ward widths", "roughness": "(sigma_x sigma_y)^(1/4)"}
+    (stage.output / "maps.json").write_text(json.dumps(facts, indent=1) + "\n")
+    for job in jobs:
+        fit_camera(stage, job, rig, settings)
 
 
 def light_rig(index: dict[str, Any], step: int = 1) -> LightTable:
@@ -73,8 +84,42 @@ def settings_of(parameters: OlatParameters, config: Any, saturation: float) -> S
     """Kernel settings from the stage's parameters and the capture's [olat] facts."""
     lobe = LOBES["ward" if parameters.lobe == "auto" else parameters.lobe]
     return Settings(
-        lobe, 8, 2, 15, TOLERANCE[parameters.precision], saturation, config.specular_factor, config.irradiance, GAIN, PRIOR
-    )
+        lobe=lobe, rounds=8, robust=2, steps=15, tolerance=TOLERANCE[parameters.precision], saturation=saturation,
+        specular_factor=config.specular_factor, irradiance=config.irradiance, gain=GAIN, crossed=CROSSED,
+        crossed_from=CROSSED_FROM, prior=PRIOR, plain=parameters.diffuse_fit == "active-set",
+        specular_fit=SPECULAR_FITS[parameters.specular_fit], fuse_correlation=parameters.fusion == "correlation",
+        printed_maps=parameters.maps == "printed", remove=parameters.overexposure == "remove",
+        gradient=parameters.solver == "gradient",
+    )  # fmt: skip
+
+
+def choose_lobe(stage: StageRun, job: CameraJob, rig: LightTable, settings: Settings) -> Settings:
+    """Where the lobe is `auto`: Ward's or Beckmann's, by which leaves the smaller residual on more of a sample of pixels."""
+    parameters: OlatParameters = stage.parameters
+    if parameters.lobe != "auto" or settings.gradient:
+        return settings
+    half, bands = frames_plan(job, rig, parameters)
+    band = max(bands, key=lambda b: len(b.pixels))
+    picked = band.pixels[:: max(1, len(band.pixels) // PILOT)]
+    samples = next(iter(read_bands(job.cross, job.parallel, [replace(band, pixels=picked)], half)))
+    view = -job.camera.rays().reshape(-1, 3)[picked]
+    points = nearest_points(job.camera, view) if stage.capture.config.olat.near_light else None
+    found = {}
+    for name in ("ward", "beckmann"):
+        trial = settings._replace(lobe=LOBES[name], crossed=0.0)
+        rows, _ = fit(samples.cross, samples.parallel, view, rig, trial, parameters.precision, points)
+        found[name] = rows
+    sound = (found["ward"][:, FLAG] == 0) & (found["beckmann"][:, FLAG] == 0)
+    better = found["beckmann"][sound, RESIDUAL] < found["ward"][sound, RESIDUAL]
+    share = float(better.mean()) if sound.any() else 0.0
+    stage.note("lobe_pilot", {"pixels": int(sound.sum()), "beckmann_fits_better": round(share, 3)})
+    return settings._replace(lobe=LOBES["beckmann" if share > 0.5 else "ward"])
+
+
+def frames_plan(job: CameraJob, rig: LightTable, parameters: OlatParameters) -> tuple[bool, list[Band]]:
+    """Whether the frames are half floats, and the bands in which they are read."""
+    half = all(is_half(path) for path in (job.cross[0], job.parallel[0]))
+    return half, bands_of(job.mask, len(rig), parameters.band_mb, 2 if half else 4)
 
 
 def camera_job(stage: StageRun, name: str, entry: dict[str, Any], step: int) -> CameraJob:
@@ -98,8 +143,7 @@ def camera_job(stage: StageRun, name: str, entry: dict[str, Any], step: int) -> 
 def fit_camera(stage: StageRun, job: CameraJob, rig: LightTable, settings: Settings) -> None:
     """Read, fit and write one camera."""
     parameters: OlatParameters = stage.parameters
-    half = all(is_half(path) for path in (job.cross[0], job.parallel[0]))
-    bands = bands_of(job.mask, len(rig), parameters.band_mb, 2 if half else 4)
+    half, bands = frames_plan(job, rig, parameters)
     view = -job.camera.rays().reshape(-1, 3)
     counts = np.zeros(len(FLAGS), int)
     with (
@@ -111,6 +155,8 @@ def fit_camera(stage: StageRun, job: CameraJob, rig: LightTable, settings: Setti
             near = stage.capture.config.olat.near_light
             points = nearest_points(job.camera, view[pixels]) if near else None
             rows, _ = fit(samples.cross, samples.parallel, view[pixels], rig, settings, parameters.precision, points)
+            if parameters.albedo_over_occlusion:
+                divide_by_occlusion(rows)
             counts += np.bincount(rows[:, FLAG].astype(int), minlength=len(FLAGS))
             writer.write(samples.band, rows)
             bar.advance(len(pixels))
@@ -122,3 +168,10 @@ def nearest_points(camera: Camera, view: NDArray[np.float64]) -> NDArray[np.floa
     """Where each ray passes the stage's centre [P, 3]: the surface's place, to within the object's size."""
     along = view @ camera.centre
     return camera.centre - view * along[:, None]
+
+
+def divide_by_occlusion(rows: NDArray[np.float64]) -> None:
+    """PRF's optional last step, in place: albedos over occlusion, where at least a twentieth of the light arrives."""
+    for albedo, occlusion in (("diffuse_albedo", "occlusion_d"), ("specular_albedo", "occlusion_s")):
+        shade = rows[:, columns()[occlusion]]
+        rows[:, columns()[albedo]] /= np.where(shade > LEAST_LIGHT, shade, 1.0)

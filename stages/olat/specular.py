@@ -133,7 +133,7 @@ def optimise(lobe, frame, shape, rho, o, h, i, light, floor, weight, isotropic, 
     if not size > 0:
         return 0.0, 0.0, 0
     cost = normal_equations(lobe, frame, shape, rho[0], o, h, i, light, floor, weight, matrix, gradient)
-    cost += _hold(frame, n_d, prior, matrix, gradient)
+    cost += hold(frame, n_d, prior, matrix, gradient)
     damping, norm, passes = 1e-3, 0.0, 1
     n = _reduce(matrix, gradient, isotropic)
     norm = _norm(gradient, n, rho[0], size)
@@ -157,7 +157,7 @@ def optimise(lobe, frame, shape, rho, o, h, i, light, floor, weight, isotropic, 
         shape2[2] = 0.0 if isotropic else shape[2] - scale * step[4]
         rho2 = max(rho[0] - scale * step[n - 1], 0.0)
         cost2 = normal_equations(lobe, frame2, shape2, rho2, o, h, i, light, floor, weight, matrix2, gradient2)
-        cost2 += _hold(frame2, n_d, prior, matrix2, gradient2)
+        cost2 += hold(frame2, n_d, prior, matrix2, gradient2)
         passes += 1
         if cost2 < cost * (1 + 1e-6):  # equal within rounding counts: the gradient decides when to stop
             frame[:], shape[:], rho[0], cost = frame2, shape2, rho2, cost2
@@ -182,7 +182,7 @@ def weighted_square(light, weight):
 
 
 @njit(cache=True, error_model="numpy")
-def _hold(frame, n_d, prior, matrix, gradient):
+def hold(frame, n_d, prior, matrix, gradient):
     """Add the prior `prior |n - n_d|²` (chord, exact gradient in the tilt) to the normal equations; returns its cost."""
     if prior <= 0:
         return 0.0
