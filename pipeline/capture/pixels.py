@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -69,7 +69,7 @@ def read_linear(path: Path, radiometry: RadiometryConfig, sensor_data: bool = Fa
     if path.suffix.lower() in RAW_SUFFIXES:
         from pipeline.capture.raw import read_raw_rgb
 
-        return read_raw_rgb(path, radiometry)
+        return calibrated(read_raw_rgb(path, radiometry), path, radiometry)
     image = _open(path)
     spec = image.spec()
     kind = str(spec.format)
@@ -103,7 +103,8 @@ def read_linear(path: Path, radiometry: RadiometryConfig, sensor_data: bool = Fa
         pixels[..., colour] -= np.float32(radiometry.black_level)
     if encoding == "srgb" and path.suffix.lower() not in FLOAT_SUFFIXES:
         pixels[..., colour] = srgb_decode(pixels[..., colour])
-    return LinearImage(pixels, names, saturated, bits, orientation, exposure, encoding)
+    linear = LinearImage(pixels, names, saturated, bits, orientation, exposure, encoding)
+    return calibrated(linear, path, radiometry)
 
 
 def _open_unassociated(path: Path):
@@ -113,6 +114,35 @@ def _open_unassociated(path: Path):
     config = oiio.ImageSpec()
     config.attribute("oiio:UnassociatedAlpha", 1)
     return oiio.ImageInput.open(str(path), config)
+
+
+def calibrated(image: LinearImage, path: Path, radiometry: RadiometryConfig) -> LinearImage:
+    """Less the dark frame, over the flat field (whose mean is kept), in place. Raises UserError on other sizes."""
+    colour = [i for i, name in enumerate(image.names) if name.lower() != "a"]
+    bare = replace(radiometry, dark_frame=None, flat_field=None)
+    dark: NDArray[np.float32] | np.float32 = np.float32(0)
+    if radiometry.dark_frame:
+        dark = _reference(path, radiometry.dark_frame, bare, image, len(colour))
+        image.pixels[..., colour] -= dark
+    if radiometry.flat_field:
+        flat = _reference(path, radiometry.flat_field, bare, image, len(colour)) - dark
+        gain = flat / flat.mean((0, 1))
+        if not gain.min() > 0:
+            raise UserError(radiometry.flat_field, "the flat field has black pixels", "expose it brighter, or give its dark frame")
+        image.pixels[..., colour] /= gain
+    return image
+
+
+def _reference(path: Path, name: str, radiometry: RadiometryConfig, image: LinearImage, colours: int) -> NDArray[np.float32]:
+    """A dark frame or flat field [H, W, colours] of the capture that `path` lies in."""
+    found = next((parent / name for parent in path.parents if (parent / name).is_file()), None)
+    if found is None or found == path:
+        raise UserError(name, "named in capture.toml but not there", "give its path relative to the capture")
+    reference = read_linear(found, radiometry)
+    pixels = reference.pixels[..., [i for i, n in enumerate(reference.names) if n.lower() != "a"]]
+    if pixels.shape != (*image.pixels.shape[:2], colours):
+        raise UserError(found, f"has the shape {pixels.shape}, {path.name} {image.pixels.shape}", "take it with the same camera")
+    return pixels
 
 
 def fill_holes(image: NDArray[np.float32]) -> NDArray[np.bool_] | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -59,7 +59,7 @@ def discover(paths: list[Path], folder: Path, config: CaptureConfig, camera_of: 
     _refuse_clashes(groups, folder)
     if any(g.is_stack for g in groups):
         return _stacks(groups, config, camera_of)
-    if kind == "mosaic" or (kind is None and is_mosaic(groups[0].paths[0], config)):
+    if kind == "mosaic" or (kind is None and is_mosaic([g.paths[0] for g in groups], config)):
         return _mosaics(groups, config, camera_of)
     views = tuple(ViewSource(g.view, g.paths, camera_of(g), _colour_loader(g, config), size_of(g.paths[0])) for g in groups)
     return Sources("colour", views, tuple(groups))
@@ -109,7 +109,7 @@ def _stacks(groups: list[Group], config: CaptureConfig, camera_of: Camera_of) ->
 
 
 def _mosaics(groups: list[Group], config: CaptureConfig, camera_of: Camera_of) -> Sources:
-    colour = config.mosaic.colour or mosaic_colour(groups[0].paths[0], config)
+    colour = config.mosaic.colour or mosaic_colour([g.paths[0] for g in groups], config)
     views = tuple(
         ViewSource(g.view, g.paths, camera_of(g), _mosaic_loader(g, config, colour), size_of(g.paths[0])) for g in groups
     )
@@ -250,44 +250,70 @@ def _block_any(saturated: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return binary_dilation(saturated, iterations=2, structure=np.ones((3, 3), bool)) if saturated.any() else saturated
 
 
-def is_mosaic(path: Path, config: CaptureConfig) -> bool:
-    """Whether a single-channel sensor file looks like a 2x2 polariser mosaic rather than a grey picture.
-
-    A grey picture is smooth: samples differ from the mean of their neighbours of the same phase no less than from that
-    of the other phases. A mosaic's phases differ: neighbours two apart agree better than neighbours one apart.
-    """
-    if path.suffix.lower() in FLOAT_SUFFIXES | RAW_SUFFIXES or len(channel_names(path)) != 1:
+def is_mosaic(paths: Sequence[Path], config: CaptureConfig) -> bool:
+    """Whether single-channel sensor files are 2x2 polariser mosaics rather than grey pictures (a few are looked at)."""
+    some = _a_few(paths)
+    if any(p.suffix.lower() in FLOAT_SUFFIXES | RAW_SUFFIXES or len(channel_names(p)) != 1 for p in some):
         return False
-    image = read_exposures(
-        group_files([path], path.parent, config, stacks=False)[0].angles[None], config.radiometry, sensor_data=True
-    )
-    return phase_contrast(image.pixels[..., 0]) > 1.0
+    return float(np.mean([carrier_share(_bare(p, config), period=4) for p in some])) > CARRIER_SHARE
 
 
-def phase_contrast(samples: NDArray[np.float32]) -> float:
-    """Mean difference of samples one apart over that of samples two apart, less what smooth content gives (1/2).
+def mosaic_colour(paths: Sequence[Path], config: CaptureConfig) -> str:
+    """"bayer" where the 2x2 blocks of mosaics alternate as colours do, else "mono"."""
+    shares = []
+    for path in _a_few(paths):
+        samples = _bare(path, config)
+        h, w = samples.shape[0] // 2 * 2, samples.shape[1] // 2 * 2
+        blocks = samples[:h, :w].reshape(h // 2, 2, w // 2, 2).mean((1, 3))
+        shares.append(carrier_share(blocks, period=2))
+    return "bayer" if float(np.mean(shares)) > COLOUR_SHARE else "mono"
 
-    Above 1: neighbours of another phase are further off than the same phase twice as far away.
+
+def _a_few(paths: Sequence[Path]) -> list[Path]:
+    return list(paths)[:: max(1, len(paths) // LOOKED_AT)][:LOOKED_AT]
+
+
+LOOKED_AT = 4
+
+
+def _bare(path: Path, config: CaptureConfig) -> NDArray[np.float32]:
+    group = group_files([path], path.parent, config, stacks=False)[0]
+    return read_mosaic(group, config).pixels[..., 0]
+
+
+CARRIER_SHARE = 0.08
+"""Of the lit tiles that must show the pattern: measured 0.10 to 0.31 on mosaics of small objects, 0.00 on their grey
+pictures, 0.04 at most on textured photographs that were demosaiced themselves."""
+COLOUR_SHARE = 0.05
+"""The same for colours, which grey parts do not show: 0.13 to 0.35 on average, at most 0.01 on monochrome mosaics."""
+TILE = 4
+SURE = 6.0
+
+
+def carrier_share(samples: NDArray[np.float32], period: int) -> float:
+    """Share of lit tiles in which odd and even columns (or rows) differ steadily by more than content explains.
+
+    Per 2x2 block the step from its first to its second sample, less the slope over `period` on either side (a multiple
+    of the colours' period, so that colours do not enter), is averaged over tiles of 4x4 blocks and held against its own
+    scatter.
     """
-    lit = samples > np.percentile(samples, 50)
-    one = (np.abs(samples[:, 1:-1] - samples[:, :-2]) + np.abs(samples[:, 1:-1] - samples[:, 2:])) / 2
-    two = np.abs(samples[:, 2:] - samples[:, :-2])
-    keep = lit[:, 1:-1]
-    if keep.sum() < 16:
-        return 0.0
-    across = float(np.median(one[keep])) / max(float(np.median(two[keep])), 1e-9)
-    one = (np.abs(samples[1:-1] - samples[:-2]) + np.abs(samples[1:-1] - samples[2:])) / 2
-    two = np.abs(samples[2:] - samples[:-2])
-    keep = lit[1:-1]
-    return max(across, float(np.median(one[keep])) / max(float(np.median(two[keep])), 1e-9))
-
-
-def mosaic_colour(path: Path, config: CaptureConfig) -> str:
-    """ "bayer" where the means of the four 2x2 blocks of a 4x4 cell differ steadily, else "mono"."""
-    image = read_mosaic(Group("", group_files([path], path.parent, config, stacks=False)[0].angles), config)
-    samples = image.pixels[..., 0]
-    h, w = samples.shape[0] // 4 * 4, samples.shape[1] // 4 * 4
-    if not h or not w:
-        return "mono"
-    blocks = samples[:h, :w].reshape(h // 2, 2, w // 2, 2).mean((1, 3))
-    return "bayer" if phase_contrast(blocks) > 1.0 else "mono"
+    share = 0.0
+    for image in (samples, samples.T):
+        span = 2 * period
+        height, width = image.shape[0] // 2 * 2, (image.shape[1] - span) // 2 * 2
+        if height < 2 * TILE or width < 2 * TILE:
+            continue
+        here = image[:height, period : period + width]
+        slope = (image[:height, span : span + width] - image[:height, :width]) / span
+        step = (np.roll(here, -1, axis=1) - here - slope)[:, ::2]
+        step = (step[::2] + step[1::2]) / 2 if period == 4 else step[: height // 2 * 2]
+        rows, columns = step.shape[0] // TILE * TILE, step.shape[1] // TILE * TILE
+        tiles = step[:rows, :columns].reshape(rows // TILE, TILE, -1, TILE).swapaxes(1, 2).reshape(-1, TILE * TILE)
+        level = here[:: here.shape[0] // step.shape[0], ::2][:rows, :columns]
+        bright = level.reshape(rows // TILE, TILE, -1, TILE).mean((1, 3)).ravel()
+        lit = bright > 0.05 * np.percentile(bright, 99)
+        if lit.sum() < 4:
+            continue
+        z = np.abs(tiles.mean(1)) * TILE / (tiles.std(1) + 1e-9)
+        share = max(share, float((z[lit] > SURE).mean()))
+    return share

@@ -20,7 +20,7 @@ def recognise(root: Path) -> bool:
     config = load_config(root)
     try:
         _, paths = pictures(root)
-        return is_mosaic(paths[len(paths) // 2], config)
+        return is_mosaic(paths, config)
     except UserError:  # an unreadable file: the reader that takes the folder says so
         return False
 

@@ -207,6 +207,7 @@ class Session:
             pc.apply_rig_config([pc.RigConfig(cameras=cameras)], database, model)
         options = pc.BundleAdjustmentOptions()
         options.refine_focal_length = options.refine_extra_params = self.mapping_options().ba_refine_focal_length
+        options.print_summary = False
         pc.bundle_adjustment(model, options)
         pc.logging.minloglevel = 2  # bundle adjustment sets it back
         model.update_point_3d_errors()
