@@ -10,12 +10,16 @@ GGX, BECKMANN, COSINE, TRANSMITTED = 0, 1, 2, 3
 REFERENCE_IOR = 1.5
 # A pyramid texel is taken whole when its half diagonal is below this share of the lobe's local scale.
 ACCEPT = 0.22
+# The same for levels of few texels, whose rows can afford more: their lobes are wide and suns land anywhere in them.
+ACCEPT_FEW = 0.12
+FEW = 16
 # Or when a sun anywhere in it changes the row's result by less than this share of itself.
 TOLERANCE = 3e-4
 # Texels of the finest level are sampled with nodes this far apart, in the same scale.
 SAMPLE = 0.35
 MAX_SAMPLES = 24
-# Scale of the cosine kernels: cells of 16^2 cubes pass, whose size moves a sun's cosine by 0.03 at most.
+# Scale of the cosine kernels (and half of that of lobes so wide that their cosine matters): with ACCEPT, cells of
+# 16^2 cubes pass.
 COSINE_SCALE = 0.45
 # A Beckmann lobe ends here: exp(-BECKMANN_REACH^2) = 1e-7 of its peak.
 BECKMANN_REACH = 4.0
@@ -62,7 +66,7 @@ def _cell(kind, alpha, axis, axes, face, size, j, i, samples):
 
 
 @njit(cache=True, fastmath=True)
-def _row(kind, alpha, axis, axes, finest, levels, offsets, total, columns, values):
+def _row(kind, alpha, accept, axis, axes, finest, levels, offsets, total, columns, values):
     """One row of weights that sum to `total`: descend from the coarsest cube, whole cells where the kernel is flat.
 
     Returns the number of entries; with empty `columns` it only counts them.
@@ -100,10 +104,10 @@ def _row(kind, alpha, axis, axes, finest, levels, offsets, total, columns, value
             if kind >= COSINE:
                 scale = COSINE_SCALE
             elif kind == BECKMANN:
-                scale = 2.0 * alpha
+                scale = min(2.0 * COSINE_SCALE, 2.0 * alpha)
             else:
-                scale = np.sqrt(angle * angle + 4.0 * alpha * alpha)
-            split = level > 0 and half > ACCEPT * scale
+                scale = min(2.0 * COSINE_SCALE, np.sqrt(angle * angle + 4.0 * alpha * alpha))
+            split = level > 0 and half > accept * scale
             if split and kind < COSINE and angle > 2.0 * half:
                 # Far from the peak: how much the cell holds, times how much the kernel varies over it.
                 held = _lobe(kind, dot / r, alpha) / norm * 4.0 / (size * size * r * r * r)
@@ -128,20 +132,20 @@ def _row(kind, alpha, axis, axes, finest, levels, offsets, total, columns, value
 
 
 @njit(cache=True, parallel=True)
-def count_rows(kind, alpha, directions, axes, finest, levels, offsets):
+def count_rows(kind, alpha, accept, directions, axes, finest, levels, offsets):
     """Entries in the row of each direction [n, 3]."""
     counts = np.empty(len(directions), np.int64)
     for row in prange(len(directions)):
         counts[row] = _row(
-            kind, alpha, directions[row], axes, finest, levels, offsets, 1.0,
+            kind, alpha, accept, directions[row], axes, finest, levels, offsets, 1.0,
             np.empty(0, np.int32), np.empty(0, np.float64),
         )  # fmt: skip
     return counts
 
 
 @njit(cache=True, parallel=True)
-def fill_rows(kind, alpha, directions, axes, finest, levels, offsets, total, starts, columns, values):
+def fill_rows(kind, alpha, accept, directions, axes, finest, levels, offsets, total, starts, columns, values):
     """Fill CSR `columns` and `values` of the rows that begin at `starts` [n + 1]."""
     for row in prange(len(directions)):
         a, b = starts[row], starts[row + 1]
-        _row(kind, alpha, directions[row], axes, finest, levels, offsets, total, columns[a:b], values[a:b])
+        _row(kind, alpha, accept, directions[row], axes, finest, levels, offsets, total, columns[a:b], values[a:b])

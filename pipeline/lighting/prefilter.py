@@ -117,7 +117,7 @@ def level_resolution(roughness: float, limit: int) -> int:
     """Cube resolution of a specular level: a power of two, fine enough for its lobe."""
     width_deg = 4 * np.degrees(np.arctan(0.6436 * roughness**2))
     need = TEXELS_PER_LOBE * 90 / width_deg
-    return int(min(limit, max(8, 2 ** np.ceil(np.log2(need)))))
+    return int(min(limit, max(DIFFUSE_RESOLUTION, 2 ** np.ceil(np.log2(need)))))
 
 
 @lru_cache(maxsize=4)
@@ -143,15 +143,19 @@ def pyramid_sizes(resolution: int) -> list[int]:
     return sizes
 
 
+@lru_cache(maxsize=16)
+def _shares(resolution: int) -> np.ndarray:
+    """Share of each texel of a face in the solid angle of its parent [1, R, R, 1]."""
+    parent = cube_solid_angles(resolution // 2).repeat(2, 0).repeat(2, 1)
+    return (cube_solid_angles(resolution) / parent)[None, :, :, None]
+
+
 def pyramid(radiance: torch.Tensor) -> torch.Tensor:
     """A cube's texels [6, R, R, C] and their means in all coarser cubes, stacked [S, C]."""
     levels = [radiance]
     for size in pyramid_sizes(radiance.shape[1])[1:]:
-        area = torch.as_tensor(cube_solid_angles(2 * size), dtype=radiance.dtype, device=radiance.device)
-        share = area / torch.as_tensor(cube_solid_angles(size), dtype=area.dtype, device=area.device).repeat_interleave(
-            2, 0
-        ).repeat_interleave(2, 1)
-        fine = levels[-1] * share[None, :, :, None]
+        share = torch.as_tensor(_shares(2 * size), dtype=radiance.dtype, device=radiance.device)
+        fine = levels[-1] * share
         levels.append(fine.reshape(6, size, 2, size, 2, -1).sum((2, 4)))
     return torch.cat([level.reshape(-1, radiance.shape[-1]) for level in levels])
 
@@ -160,7 +164,9 @@ def _rows(kind: int, alpha: float, size: int, total: float, sizes: list[int]) ->
     """Weights of one level at the representatives of its texels, which sum to `total`."""
     offsets = np.concatenate(([0], np.cumsum([6 * n * n for n in sizes])))
     directions = cube_directions(size).reshape(-1, 3)[representatives(size)[0]]
-    where = (kind, float(alpha), directions, AXES, sizes[0], len(sizes), offsets)
+    few = size <= kernels.FEW and kind != kernels.COSINE  # the plain cosine only serves the option "schlick"
+    accept = kernels.ACCEPT_FEW if few else kernels.ACCEPT
+    where = (kind, float(alpha), accept, directions, AXES, sizes[0], len(sizes), offsets)
     starts = np.concatenate(([0], np.cumsum(kernels.count_rows(*where))))
     columns, values = np.empty(starts[-1], np.int32), np.empty(starts[-1])
     kernels.fill_rows(*where, total, starts, columns, values)

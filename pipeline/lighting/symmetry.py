@@ -51,18 +51,18 @@ def representatives(resolution: int) -> tuple[NDArray[np.int64], NDArray[np.int6
     return texels, where
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True)
 def _spread(x, images, out):
-    for s in prange(images.shape[0]):
+    for s in range(images.shape[0]):
         for g in range(ORDER):
             for c in range(3):
                 out[s, 3 * g + c] = x[images[s, g], c]
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True)
 def _gather(x, inverse, out):
     """out[s] = sum over g of x[inverse[s, g], g]: the adjoint of `_spread`."""
-    for s in prange(out.shape[0]):
+    for s in range(out.shape[0]):
         r, g, b = np.float32(0), np.float32(0), np.float32(0)
         for k in range(ORDER):
             row = inverse[s, k]
@@ -81,6 +81,32 @@ def _multiply(starts, columns, values, x, out):
             for j in range(WIDTH):
                 total[j] += w * source[j]
         out[row] = total
+
+
+@njit(cache=True)
+def _collect(y, texel, position, corner, meeting, packed):
+    """Output tables from the products: every texel from its orbit's row, every corner from the texels around it."""
+    for k in range(len(texel)):
+        for c in range(3):
+            packed[texel[k], c] = y[position[k], c]
+    for k in range(len(corner)):
+        for c in range(3):
+            total = packed[meeting[k, 0], c] + packed[meeting[k, 1], c] + packed[meeting[k, 2], c]
+            packed[corner[k], c] = total / np.float32(3)
+
+
+@njit(cache=True)
+def _distribute(packed, texel, position, corner, meeting, y):
+    """Adjoint of `_collect`; y zeroed."""
+    where = np.empty(len(packed), np.int64)
+    for k in range(len(texel)):
+        where[texel[k]] = position[k]
+        for c in range(3):
+            y[position[k], c] = packed[texel[k], c]
+    for k in range(len(corner)):
+        for m in range(3):
+            for c in range(3):
+                y[where[meeting[k, m]], c] += packed[corner[k], c] / np.float32(3)
 
 
 class SymmetricMap:
@@ -109,6 +135,7 @@ class SymmetricMap:
         self.size = start
         self._texel, self._position = (torch.as_tensor(np.concatenate(x)) for x in zip(*where))
         self._corner, self._meeting = (torch.as_tensor(np.concatenate(x)) for x in zip(*corners))
+        self._places = tuple(x.numpy() for x in (self._texel, self._position, self._corner, self._meeting))
         self._matrix = matrix.tocsr()
         self._arrays = tuple(
             (m.indptr.astype(np.int64), m.indices.astype(np.int32), m.data.astype(np.float32))
@@ -145,17 +172,15 @@ class SymmetricMap:
         y = np.empty((self._matrix.shape[0], WIDTH), np.float32)
         _multiply(*self._arrays[0], spread, y)
         packed = np.empty((self.size, 3), np.float32)
-        packed[self._texel.numpy()] = y.reshape(-1, 3)[self._position.numpy()]
-        packed[self._corner.numpy()] = packed[self._meeting.numpy()].mean(1)
+        collect: Any = _collect
+        collect(y.reshape(-1, 3), *self._places, packed)
         return packed
 
     def backward(self, gradient: NDArray[np.float32]) -> NDArray[np.float32]:
         """Product with the transpose."""
-        gradient = gradient.copy()
-        thirds = np.repeat(gradient[self._corner.numpy()] / 3, 3, axis=0)
-        np.add.at(gradient, self._meeting.numpy().ravel(), thirds)
         y = np.zeros((self._matrix.shape[0] * ORDER, 3), np.float32)
-        y[self._position.numpy()] = gradient[self._texel.numpy()]
+        distribute: Any = _distribute
+        distribute(gradient, *self._places, y)
         spread = np.empty((len(self._images), WIDTH), np.float32)
         _multiply(*self._arrays[1], y.reshape(-1, WIDTH), spread)
         x = np.empty((len(self._images), 3), np.float32)
