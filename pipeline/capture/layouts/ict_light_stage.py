@@ -98,7 +98,8 @@ def _camera(root: Path, folder: Path, lights: LightTable, table: Path, config: C
 def light_frames(folder: Path, lights: int, table: Path) -> tuple[tuple[Path, ...], tuple[Path, ...]]:
     """The frames of `folder` in the order of the lights, and the frames that belong to no light.
 
-    Frame numbers 2..N+1 (of N+4: two leading frames under all lights, two trailing) or 0..N-1 are light 0..N-1.
+    Frame numbers 2..N+1 (of N+4: two leading frames under all lights, two trailing) or 0..N-1 are light 0..N-1. A pass that
+    begins at 0 is whole or has no leading frames: a table that is a few rows short must not shift the lights by two.
     Raises UserError when frames are missing, empty, or their number does not fit the table.
     """
     found: dict[int, Path] = {}
@@ -114,7 +115,9 @@ def light_frames(folder: Path, lights: int, table: Path) -> tuple[tuple[Path, ..
     last = max(found)
     if min(found) == 0 and last == lights - 1:
         first = 0
-    elif lights + LEADING_FRAMES - 1 <= last <= lights + 2 * LEADING_FRAMES - 1:
+    elif last == lights + 2 * LEADING_FRAMES - 1 or (
+        min(found) > 0 and lights + LEADING_FRAMES - 1 <= last < lights + 2 * LEADING_FRAMES
+    ):
         first = LEADING_FRAMES
     elif min(found) == 1 and last == lights:
         first = 1
