@@ -52,6 +52,21 @@ def _exp(x):
 
 
 @njit(cache=True, error_model="numpy")
+def copy1(source, target):
+    """target[:] = source, without the error message that numba would compile for it (seconds of compile time)."""
+    for k in range(target.size):
+        target[k] = source[k]
+
+
+@njit(cache=True, error_model="numpy")
+def copy2(source, target):
+    """The same for matrices."""
+    for j in range(target.shape[0]):
+        for k in range(target.shape[1]):
+            target[j, k] = source[j, k]
+
+
+@njit(cache=True, error_model="numpy")
 def kth_largest(values, count, k, work):
     """The k-th largest (from 0) of the first `count` values, by quickselect in `work`."""
     for i in range(count):

@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 
 from pipeline.lights.lobes import jacobian, values
-from pipeline.lights.numerics import FAST, ZERO, cholesky_solve
+from pipeline.lights.numerics import FAST, ZERO, cholesky_solve, copy1, copy2
 from stages.olat.specular import hold, tilt, weighted_square
 
 SIZE = 8
@@ -44,7 +44,8 @@ def _system(lobe, frame, x, o, h, i, light, floor, weight, rows, one, prior, n_d
     """Normal equations [8, 8] of the two lobes at x = (s1, s2, angle, angle, rho, rho); returns the cost."""
     shape, slope = np.empty(3), np.empty((3, 3))
     n = light.size
-    rows[:4] = ZERO
+    for k in range(light.size):
+        rows[0, k] = rows[1, k] = rows[2, k] = rows[3, k] = ZERO
     for lobe_index in range(2):
         rho = x[4 + lobe_index]
         shape_of(x[0], x[1], x[2 + lobe_index], shape, slope)
@@ -123,7 +124,11 @@ def optimise_crossed(lobe, frame, x, o, h, i, light, floor, weight, prior, n_d, 
         cost2 = _system(lobe, frame2, x2, o, h, i, light, floor, weight, rows, one, prior, n_d, matrix2, gradient2)
         passes += 1
         if cost2 < cost * (1 + 1e-6):
-            frame[:], x[:], matrix[:], gradient[:], cost = frame2, x2, matrix2, gradient2, cost2
+            copy2(frame2, frame)
+            copy2(matrix2, matrix)
+            copy1(x2, x)
+            copy1(gradient2, gradient)
+            cost = cost2
             damping = damping * 0.2 if damping > 1e-9 else 0.0
         else:
             damping = max(8 * damping, 1e-4)
@@ -148,16 +153,19 @@ def crossed_values(lobe, frame, x, o, h, i, g):
 def fit_crossed(lobe, frame, x, large, small, angle, rho, o, h, i, light, floor, use, prior, n_d, tolerance):
     """Fit two crossed lobes from a single one (large, small, angle, rho), in place on (frame, x [6]). Returns (cost, passes)."""
     best, passes = 1e30, 0
-    frame2, x2, start = np.empty((3, 3)), np.empty(6), frame.copy()
+    frame2, x2, start = np.empty((3, 3)), np.empty(6), np.empty((3, 3))
+    copy2(frame, start)
     for spread in SPREADS:
-        frame2[:] = start
+        copy2(start, frame2)
         x2[0], x2[1] = math.log(large) + 0.15, math.log(small) - 0.3
         x2[2], x2[3] = angle - spread, angle + spread
         x2[4] = x2[5] = 0.5 * rho
         cost, _, more = optimise_crossed(lobe, frame2, x2, o, h, i, light, floor, use, prior, n_d, STEPS, tolerance)
         passes += more
         if cost < best:
-            best, frame[:], x[:] = cost, frame2, x2
+            best = cost
+            copy2(frame2, frame)
+            copy1(x2, x)
     if x[1] > x[0]:  # the widths have changed places
         x[0], x[1] = x[1], x[0]
         x[2] += 0.5 * math.pi

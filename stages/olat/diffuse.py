@@ -88,7 +88,8 @@ def fit_normal(light, ok, wx, wy, wz, rounds, plain, weight, work, scratch):
             work[usable] = light[k]
             usable += 1
     if usable < 3:
-        weight[:] = ZERO
+        for k in range(light.size):
+            weight[k] = ZERO
         return 0.0, 0.0, 0.0, 0.0, usable, False
     top = kth_largest(work, usable, min(4, usable - 1), scratch)
     solved = False

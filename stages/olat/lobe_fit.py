@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 
 from pipeline.lights.lobes import values
-from pipeline.lights.numerics import FAST, ZERO
+from pipeline.lights.numerics import FAST, ZERO, copy1, copy2
 from stages.olat.crossed import crossed_values, fit_crossed, shape_of
 from stages.olat.specular import (
     LOBE_FRACTION,
@@ -43,17 +43,20 @@ def fit_lobe(
     level = LOBE_FRACTION * top
     samples = (half, incident, light, floor, use, weight, g)
     round_start(light, use, level, area, half, cosine, frame, shape)
+    frame2, shape2, rho2 = np.empty((3, 3)), np.empty(3), np.empty(1)
     stiff = prior < 0 or (solved and prior > 0)
     cost, passes = _rounds(settings, prior, frame, shape, rho, o, n_d, stiff, absolute, True, samples)
     agree = n_d[0] * frame[2, 0] + n_d[1] * frame[2, 1] + n_d[2] * frame[2, 2]
     if solved and agree < DISAGREE and n_d[0] * o[0] + n_d[1] * o[1] + n_d[2] * o[2] > 0.02:
-        frame2, shape2, rho2 = np.empty((3, 3)), shape.copy(), rho.copy()
+        copy1(shape, shape2)
         frame_about(n_d[0], n_d[1], n_d[2], frame2)
         other, more = _rounds(settings, prior, frame2, shape2, rho2, o, n_d, stiff, absolute, True, samples)
         passes += more
         if other < cost:
-            cost, frame[:], shape[:], rho[0] = other, frame2, shape2, rho2[0]
-    frame2, shape2, rho2 = frame.copy(), shape.copy(), rho.copy()
+            cost, rho[0] = other, rho2[0]
+            copy2(frame2, frame)
+            copy1(shape2, shape)
+    copy2(frame, frame2)
     start_shape(light, use, level, area, half, cosine, frame2, shape2)
     shift = 0.5 * (shape[0] + shape[1] - shape2[0] - shape2[1])  # the moments' axes and ratio at the round fit's size
     shape2[0] += shift
@@ -64,7 +67,9 @@ def fit_lobe(
     large, small, _ = widths(shape2)
     anisotropic = other < settings.gain * cost and (large - small) > ROUND * (large + small)
     if anisotropic:
-        frame[:], shape[:], rho[0] = frame2, shape2, rho2[0]
+        rho[0] = rho2[0]
+        copy2(frame2, frame)
+        copy1(shape2, shape)
     values(settings.lobe, frame, shape, o, half, incident, g)
     reweight(g, kind(rho[0]), light, use, absolute, RELATIVE, weight)
     stiffness = _stiffness(prior, g, kind(rho[0]), light, use, weight) if stiff else 0.0
@@ -81,7 +86,8 @@ def fit_lobe(
         and miss > CROSSED_MISFIT * data
         and (large - small) > settings.crossed_from * (large + small)
     ):
-        frame2, x = frame.copy(), np.empty(6)
+        x = np.empty(6)
+        copy2(frame, frame2)
         tie = prior * miss / max(float(light.size), 1.0) * (1.0 + 100.0 * miss / data) if stiff else 0.0
         _, more = fit_crossed(settings.lobe, frame2, x, large, small, angle, rho[0], o, half, incident, light, floor, use, tie, n_d,
                               settings.tolerance)  # fmt: skip
@@ -91,7 +97,8 @@ def fit_lobe(
         if other < settings.crossed * miss and x[4] + x[5] > 0:
             first = 0 if x[4] >= x[5] else 1
             slope = np.empty((3, 3))
-            frame[:], rho[0] = frame2, x[4] + x[5]
+            rho[0] = x[4] + x[5]
+            copy2(frame2, frame)
             shape_of(x[0], x[1], x[2 + first], shape, slope)
             share = x[4 + first] / rho[0]
             for k in range(light.size):

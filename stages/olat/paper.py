@@ -75,16 +75,26 @@ def remove_overexposure(samples, level, order, delta):
     if not top >= level:
         return
     for _ in range(ROUNDS):
-        order[:] = np.argsort(-samples)
-        gap = GAP * samples[order[0]]
-        for rank in range(samples.size - 1):
-            if samples[order[rank]] < level:
+        for k in range(samples.size):
+            order[k] = 0  # 1: a rank that is done
+        first = highest = -1.0
+        for rank in range(samples.size):
+            best = -1
+            for k in range(samples.size):
+                if order[k] == 0 and (best < 0 or samples[k] > samples[best]):
+                    best = k
+            if rank == 0:
+                first = samples[best]
+            elif highest - samples[best] > GAP * first:
+                low = samples[best] + delta
+                for k in range(samples.size):
+                    if order[k] == 1:
+                        samples[k] = low
                 break
-            if samples[order[rank]] - samples[order[rank + 1]] > gap:
-                low = samples[order[rank + 1]] + delta
-                for before in range(rank + 1):
-                    samples[order[before]] = low
+            if samples[best] < level:
                 break
+            highest = samples[best]
+            order[best] = 1
 
 
 @njit(cache=True, error_model="numpy")

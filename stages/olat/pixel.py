@@ -313,7 +313,8 @@ def fit_pixel(cross, parallel, w, o, area, energy, settings, room, out):
     far the row is to be trusted; it never holds anything that is not finite. Returns (specular gradient norm, passes).
     """
     kind = energy.dtype.type
-    out[:] = 0.0
+    for k in range(out.size):
+        out[k] = 0.0
     count = energy.size
     level = settings.saturation
     if settings.remove and level < np.inf:

@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 
 from pipeline.lights.lobes import normal_equations
-from pipeline.lights.numerics import FAST, ONE, ZERO, cholesky_solve
+from pipeline.lights.numerics import FAST, ONE, ZERO, cholesky_solve, copy1, copy2
 
 LOBE_FRACTION = 0.05  # of the brightest sample: below it noise, not the lobe, would weigh the half vectors
 SIGMA_MIN, SIGMA_MAX = 1e-3, 10.0
@@ -160,8 +160,11 @@ def optimise(lobe, frame, shape, rho, o, h, i, light, floor, weight, isotropic, 
         cost2 += hold(frame2, n_d, prior, matrix2, gradient2)
         passes += 1
         if cost2 < cost * (1 + 1e-6):  # equal within rounding counts: the gradient decides when to stop
-            frame[:], shape[:], rho[0], cost = frame2, shape2, rho2, cost2
-            matrix[:], gradient[:] = matrix2, gradient2
+            rho[0], cost = rho2, cost2
+            copy2(frame2, frame)
+            copy1(shape2, shape)
+            copy2(matrix2, matrix)
+            copy1(gradient2, gradient)
             damping = damping * 0.1 if damping > 1e-9 else 0.0
             _reduce(matrix, gradient, isotropic)
             norm = _norm(gradient, n, rho[0], size)
