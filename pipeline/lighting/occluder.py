@@ -19,7 +19,10 @@ LIFT = 2e-3
 
 @dataclass(frozen=True)
 class Hits:
-    """Where R rays meet a mesh: blocked [R]; of blocked rays the triangle's vertices [R, 3] and weights [R, 3]."""
+    """Where R rays meet a mesh: blocked [R]; of blocked rays the triangle's vertices [R, 3] and weights [R, 3].
+
+    A ray that meets the back of a triangle first began under the surface: it counts as free.
+    """
 
     blocked: NDArray[np.bool_]
     vertices: NDArray[np.int64]
@@ -45,7 +48,8 @@ class Occluder:
         """First hits of rays from origins [R, 3] along directions [R, 3]."""
         found = self._scene.cast_rays(self._rays(origins, directions))
         triangle = found["primitive_ids"].numpy()
-        blocked = np.isfinite(found["t_hit"].numpy())
+        outside = (found["primitive_normals"].numpy() * directions).sum(-1) < 0
+        blocked = np.isfinite(found["t_hit"].numpy()) & outside
         u, v = np.moveaxis(found["primitive_uvs"].numpy(), -1, 0)
         corners = self.triangles[np.where(blocked, triangle, 0)].astype(np.int64)
         return Hits(blocked, corners, np.stack((1 - u - v, u, v), -1).astype(np.float32))

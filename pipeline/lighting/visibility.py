@@ -29,15 +29,26 @@ BLOCK = 4_000_000
 
 
 @dataclass(frozen=True)
-class SurfaceLight:
-    """Light at the mesh's vertices under one environment, all [V, 3].
+class Gathering:
+    """What N points see of a cube of K texels and of the mesh's V vertices around themselves."""
 
-    shadow, bounced: as in `shading.Occlusion`; leaving: diffuse radiance that the surface sends back.
+    normals: NDArray[np.float32]  # [N, 3]
+    blocked: torch.Tensor  # sparse [N, K]: weights of the texels that the mesh hides
+    met: torch.Tensor  # sparse [N, V]: the same weights at the vertices that hide them
+
+
+@dataclass(frozen=True)
+class SurfaceLight:
+    """Light at the mesh's vertices under one environment.
+
+    shadow, bounced [V, 3]: as in `shading.Occlusion`; leaving [V, 3]: diffuse radiance that the surface sends back;
+    texels [K, 3]: the environment that was gathered.
     """
 
     shadow: torch.Tensor
     bounced: torch.Tensor
     leaving: torch.Tensor
+    texels: torch.Tensor
 
 
 @dataclass(frozen=True)
@@ -48,6 +59,7 @@ class Attachment:
     weights: torch.Tensor  # [P, 3] of the nearest point in it
     unblocked: torch.Tensor  # [P] share of the mirror rays that leave
     mirrored: torch.Tensor  # sparse [P, V]: where the other rays end, summing to 1 - unblocked
+    gathered: Gathering | None  # the points' own rays, where they were cast
 
 
 class Transfer:
@@ -62,42 +74,50 @@ class Transfer:
         # Received light is weighted by the way in at the reference IoR: scaled to this one, times the mean way out.
         entering = float(fresnel.hemispherical_transmittance(np.asarray(ior)))
         self._leaving = entering * entering / float(fresnel.hemispherical_transmittance(np.asarray(REFERENCE_IOR)))
-        self._weights, self._blocked, self._meets = self._cast()
+        self._directions = cube_directions(resolution).reshape(-1, 3).astype(np.float32)
+        self._areas = np.tile(sphere.cube_solid_angles(resolution).ravel(), 6).astype(np.float32)
+        self._vertices = self.gather(occluder.vertices, occluder.normals)
 
-    def _cast(self) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Weights of texels at vertices [V, K], those of blocked texels [V, K], those of the vertices met [V, V]."""
-        mesh = self.occluder
-        directions = cube_directions(self.resolution).reshape(-1, 3).astype(np.float32)
-        area = np.tile(sphere.cube_solid_angles(self.resolution).ravel(), 6).astype(np.float32)
-        count, texels = len(mesh.vertices), len(directions)
-        cosine = np.maximum(mesh.normals @ directions.T, 0).astype(np.float32)
-        weights = cosine * fresnel.transmittance(cosine, np.float32(REFERENCE_IOR)) * area
+    def _weights(self, normals: NDArray[np.float32]) -> NDArray[np.float32]:
+        """T(n.w) (n.w) d omega of the texels [N, K]."""
+        cosine = np.maximum(normals @ self._directions.T, 0)
+        return cosine * fresnel.transmittance(cosine, np.float32(REFERENCE_IOR)) * self._areas
+
+    def gather(self, points: NDArray, normals: NDArray) -> Gathering:
+        """Cast rays from points [N, 3] on the surface with unit normals [N, 3] to all texels above it."""
+        mesh, texels = self.occluder, len(self._directions)
+        points, normals = np.asarray(points, np.float32), np.asarray(normals, np.float32)
         found = []
         step = max(1, BLOCK // texels)
-        for start in range(0, count, step):
-            vertex, texel = np.nonzero(cosine[start : start + step])
-            vertex += start
-            hits = mesh.cast(mesh.vertices[vertex] + mesh.lift * mesh.normals[vertex], directions[texel])
-            vertex, texel = vertex[hits.blocked], texel[hits.blocked]
-            found.append((vertex, texel, hits.vertices[hits.blocked], hits.weights[hits.blocked]))
-        vertex, texel, corners, share = (np.concatenate(x) for x in zip(*found))
-        w = weights[vertex, texel]
-        blocked = csr_matrix((w, (vertex, texel)), shape=(count, texels))
-        met = (w[:, None] * share).ravel(), (np.repeat(vertex, 3), corners.ravel())
-        return torch.as_tensor(weights), torch_csr(blocked), torch_csr(csr_matrix(met, shape=(count, count)))
+        for start in range(0, max(1, len(points)), step):
+            weights = self._weights(normals[start : start + step])
+            point, texel = np.nonzero(weights)
+            origins = (points[start : start + step] + mesh.lift * normals[start : start + step])[point]
+            hits = mesh.cast(origins, self._directions[texel])
+            point, texel, corner = point[hits.blocked], texel[hits.blocked], hits.weights[hits.blocked].argmax(1)
+            vertex = np.take_along_axis(hits.vertices[hits.blocked], corner[:, None], 1)[:, 0]
+            found.append((point + start, texel, vertex, weights[point, texel]))
+        point, texel, vertex, w = (np.concatenate(x) for x in zip(*found))
+        blocked = csr_matrix((w, (point, texel)), shape=(len(points), texels))
+        met = csr_matrix((w, (point, vertex)), shape=(len(points), len(mesh.vertices)))
+        return Gathering(normals, torch_csr(blocked), torch_csr(met))
+
+    def _received(self, at: Gathering, texels: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """(irradiance without the mesh [N, 3], share of it that arrives [N, 3])."""
+        arriving = torch.as_tensor(self._weights(at.normals)) @ texels
+        # The floor meets a black environment: nothing arrives, and a shadow of nothing is 1.
+        return arriving, 1 - (at.blocked @ texels) / arriving.clamp_min(torch.finfo(arriving.dtype).tiny)
 
     def light(self, radiance: torch.Tensor, bounces: int = 2) -> SurfaceLight:
         """Light at the vertices under radiance [6, R, R, 3] (R at least the transfer's resolution); differentiable."""
         texels = self._texels(radiance)
-        arriving = self._weights @ texels
-        # The floor meets a black environment: nothing arrives, and a shadow of nothing is 1.
-        shadow = 1 - (self._blocked @ texels) / arriving.clamp_min(torch.finfo(arriving.dtype).tiny)
+        arriving, shadow = self._received(self._vertices, texels)
         direct = shadow * arriving
-        scale = self._leaving / torch.pi
+        scale = self._leaving / torch.pi * self.albedo
         bounced = torch.zeros_like(direct)
         for _ in range(bounces):
-            bounced = self._meets @ (scale * self.albedo * (direct + bounced))
-        return SurfaceLight(shadow, bounced, scale * self.albedo * (direct + bounced))
+            bounced = self._vertices.met @ (scale * (direct + bounced))
+        return SurfaceLight(shadow, bounced, scale * (direct + bounced), texels)
 
     def _texels(self, radiance: torch.Tensor) -> torch.Tensor:
         sizes = pyramid_sizes(radiance.shape[1])
@@ -114,8 +134,12 @@ class Transfer:
         roughness: NDArray,  # [P]
         rays: tuple[int, int] = (1, 4),
         lobe: str = "ggx",
+        own_rays: bool = False,
     ) -> Attachment:
-        """Tie shaded points to the mesh and cast their mirror rays: `rays` = (rings, azimuths) over the lobe."""
+        """Tie shaded points to the mesh and cast their mirror rays: `rays` = (rings, azimuths) over the lobe.
+
+        own_rays: cast the points' own rays for diffuse light too, instead of interpolating between the vertices.
+        """
         mesh = self.occluder
         near = mesh.nearest(points)
         tan, azimuth, share = half_vectors(1.0, lobe, rays[0], 2 * rays[1])
@@ -123,7 +147,7 @@ class Transfer:
         tan = tan[:, None] * (np.asarray(roughness) ** 2)[:, None, None]
         nh = 1 / np.sqrt(1 + tan * tan)
         local = np.stack(np.broadcast_arrays(tan * nh * np.cos(azimuth), tan * nh * np.sin(azimuth), nh), axis=-1).reshape(
-            len(points), -1, 3
+            len(points), rays[0] * rays[1], 3
         )
         h = np.einsum("pka,pab->pkb", local, tangent_frames(normals))
         out = 2 * (h * view[:, None]).sum(-1, keepdims=True) * h - view[:, None]
@@ -144,16 +168,14 @@ class Transfer:
             torch.as_tensor(near.weights),
             torch.as_tensor(1 - (weight * blocked).sum(1)),
             torch_csr(met),
+            self.gather(points, normals) if own_rays else None,
         )
 
-    @staticmethod
-    def occlusion(attachment: Attachment, light: SurfaceLight) -> Occlusion:
+    def occlusion(self, attachment: Attachment, light: SurfaceLight) -> Occlusion:
         """What `shade` needs at attached points."""
-        at = attachment.vertices
-        w = attachment.weights[..., None]
-        return Occlusion(
-            shadow=(light.shadow[at] * w).sum(1),
-            bounced=(light.bounced[at] * w).sum(1),
-            unblocked=attachment.unblocked,
-            seen=attachment.mirrored @ light.leaving,
-        )
+        seen = attachment.mirrored @ light.leaving
+        if attachment.gathered is not None:
+            _, shadow = self._received(attachment.gathered, light.texels)
+            return Occlusion(shadow, attachment.gathered.met @ light.leaving, attachment.unblocked, seen)
+        at, w = attachment.vertices, attachment.weights[..., None]
+        return Occlusion((light.shadow[at] * w).sum(1), (light.bounced[at] * w).sum(1), attachment.unblocked, seen)

@@ -47,4 +47,4 @@ class SelfOcclusion:
             points, normals, view = (np.asarray(v @ self._turn.T) for v in (surface.position, surface.normal, surface.view))
             attachment = self._transfer.attach(points, normals, view, surface.material[:, 3], lobe=self._lobe)
             self._attached[name] = attachment
-        return Transfer.occlusion(attachment, light)
+        return self._transfer.occlusion(attachment, light)
