@@ -13,7 +13,7 @@ import numpy as np
 from pipeline.capture.config import CaptureConfig
 
 ANGLE = re.compile(
-    r"^(?P<view>.*?)[_\-. ]?(?:pol|lp|angle|ang|deg|a|p)?[_\-]?(?P<angle>\d{1,3}(?:[.]\d+)?)(?:deg|°)?$", re.IGNORECASE
+    r"^(?P<view>.+?)[_\-. ]?(?:pol|lp|angle|ang|deg|a|p)?[_\-]?(?P<angle>\d{1,3}(?:[.]\d+)?)(?:deg|°)?$", re.IGNORECASE
 )
 ANGLE_ALONE = re.compile(r"^(?:pol|lp|angle|ang|a|p|i)?[_\-]?(?P<angle>\d{1,3}(?:[.]\d+)?)(?:deg|°)?$", re.IGNORECASE)
 EXPOSURE = re.compile(

@@ -128,7 +128,9 @@ def calibrated(image: LinearImage, path: Path, radiometry: RadiometryConfig) -> 
         flat = _reference(path, radiometry.flat_field, bare, image, len(colour)) - dark
         gain = flat / flat.mean((0, 1))
         if not gain.min() > 0:
-            raise UserError(radiometry.flat_field, "the flat field has black pixels", "expose it brighter, or give its dark frame")
+            raise UserError(
+                radiometry.flat_field, "the flat field has black pixels", "expose it brighter, or give its dark frame"
+            )
         image.pixels[..., colour] /= gain
     return image
 
@@ -141,7 +143,9 @@ def _reference(path: Path, name: str, radiometry: RadiometryConfig, image: Linea
     reference = read_linear(found, radiometry)
     pixels = reference.pixels[..., [i for i, n in enumerate(reference.names) if n.lower() != "a"]]
     if pixels.shape != (*image.pixels.shape[:2], colours):
-        raise UserError(found, f"has the shape {pixels.shape}, {path.name} {image.pixels.shape}", "take it with the same camera")
+        raise UserError(
+            found, f"has the shape {pixels.shape}, {path.name} {image.pixels.shape}", "take it with the same camera"
+        )
     return pixels
 
 

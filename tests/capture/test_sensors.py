@@ -74,7 +74,9 @@ def test_mosaic_folder_is_recognised_and_read(tmp_path):
 def test_grey_photographs_are_no_mosaic(tmp_path):
     (tmp_path / "images").mkdir()
     grey = textured(64)[:, :, 0, 1] + np.random.default_rng(0).normal(0, 0.01, (64, 64))
-    tifffile.imwrite(tmp_path / "images" / "a.tif", np.round(np.clip(grey, 0, 1) * 65535).astype(np.uint16), photometric="minisblack")
+    tifffile.imwrite(
+        tmp_path / "images" / "a.tif", np.round(np.clip(grey, 0, 1) * 65535).astype(np.uint16), photometric="minisblack"
+    )
     assert open_capture(tmp_path).layout == "photographs"
 
 
@@ -124,7 +126,7 @@ def test_bracket_merge_uses_unsaturated_samples_and_weighs_by_noise():
     seconds, images, clipped = [0.1, 1.0, 10.0], [], []
     for t in seconds:
         raw = truth * t + rng.normal(0, 1e-3, truth.shape)
-        clipped.append((raw[..., 0] > 0.98))
+        clipped.append(raw[..., 0] > 0.98)
         images.append(np.minimum(raw, 1.0).astype(np.float32))
     merged, lost = merge_exposures(images, clipped, seconds)
     assert not lost.any()
@@ -193,6 +195,8 @@ def test_levels_and_dark_frame_and_flat_field(tmp_path):
     tifffile.imwrite(tmp_path / "images" / "a.tif", codes, photometric="rgb")
     tifffile.imwrite(tmp_path / "dark.tif", dark, photometric="rgb")
     tifffile.imwrite(tmp_path / "flat.tif", np.round(100 + shade * 2000).astype(np.uint16), photometric="rgb")
-    (tmp_path / "capture.toml").write_text('[radiometry]\nwhite_level = 3900\ndark_frame = "dark.tif"\nflat_field = "flat.tif"\n')
+    (tmp_path / "capture.toml").write_text(
+        '[radiometry]\nwhite_level = 3900\ndark_frame = "dark.tif"\nflat_field = "flat.tif"\n'
+    )
     rgb = open_capture(tmp_path).views[0].read().rgb
     np.testing.assert_allclose(rgb, truth / 1.3, rtol=5e-3)

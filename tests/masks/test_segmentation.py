@@ -90,18 +90,19 @@ def test_hull_check_blames_the_mask_that_lost_a_part_and_the_one_with_too_much(v
 
 @pytest.mark.slow
 def test_sam_checkpoint_from_a_local_folder(views, tmp_path):
+    import torch
     from transformers import SamConfig, SamModel, SamVisionConfig
 
     from stages.masks.sam import load_sam, prompt_points, segment_image
-
-    import torch
 
     torch.manual_seed(0)
     vision = SamVisionConfig(hidden_size=16, output_channels=16, num_hidden_layers=1, num_attention_heads=2, image_size=64,
                              patch_size=16, mlp_dim=16, num_pos_feats=8, global_attn_indexes=[0], window_size=2)  # fmt: skip
     prompt = {"hidden_size": 16, "image_size": 64, "patch_size": 16, "image_embedding_size": 4, "mask_input_channels": 4}
     decoder = {"hidden_size": 16, "num_attention_heads": 2, "mlp_dim": 16, "num_hidden_layers": 1, "iou_head_hidden_dim": 16}
-    SamModel(SamConfig(vision_config=vision, prompt_encoder_config=prompt, mask_decoder_config=decoder)).save_pretrained(tmp_path)
+    SamModel(SamConfig(vision_config=vision, prompt_encoder_config=prompt, mask_decoder_config=decoder)).save_pretrained(
+        tmp_path
+    )
     model = load_sam(tmp_path)
     image = (np.clip(views.images[0], 0, 1) * 255).astype(np.uint8)[:70]
     points = prompt_points(None, None, None, 96, 70)

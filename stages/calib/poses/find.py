@@ -168,7 +168,7 @@ class Session:
         """Incremental mapping with every seed set."""
         options = self.colmap.IncrementalPipelineOptions()
         options.random_seed = options.mapper.random_seed = options.triangulation.random_seed = self.seed
-        options.num_threads = max(1, self.stage.jobs)
+        options.num_threads = 1  # sums over threads in another order give other last digits
         options.mapper.filter_max_reproj_error = MAX_ERROR_PX
         options.ba_global_frames_ratio = options.ba_global_points_ratio = GLOBAL_GROWTH
         refine = self.stage.parameters.refine_focal and self.known_focal() is None
@@ -208,6 +208,7 @@ class Session:
         options = pc.BundleAdjustmentOptions()
         options.refine_focal_length = options.refine_extra_params = self.mapping_options().ba_refine_focal_length
         options.print_summary = False
+        options.ceres.min_num_residuals_for_cpu_multi_threading = 1 << 30  # one order of summation
         pc.bundle_adjustment(model, options)
         pc.logging.minloglevel = 2  # bundle adjustment sets it back
         model.update_point_3d_errors()

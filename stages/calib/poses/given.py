@@ -15,7 +15,7 @@ def write_given(stage: StageRun) -> None:
     save_cameras(stage.output / "cameras.json", cameras)
     model: ColmapModel | None = read_model(capture.colmap) if capture.colmap is not None else None
     write_sparse(stage.output / "sparse", cameras)
-    if stage.parameters.triangulate and model is None:
+    if stage.parameters.triangulate:
         from stages.calib.poses.find import triangulate
 
         triangulate(stage)
