@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sys
+import types
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -123,3 +125,29 @@ def scene(request: pytest.FixtureRequest) -> Scene:
 @pytest.fixture
 def scene_named() -> Callable[[str], Scene]:
     return SCENES.__getitem__
+
+
+@pytest.fixture
+def gsplat_torch(monkeypatch: pytest.MonkeyPatch):
+    """gsplat's plain torch 2DGS functions; nerfacc, which they import for two helpers, exists for CUDA only."""
+    pytest.importorskip("gsplat")
+
+    def render_weight_from_alpha(alphas: Tensor, ray_indices: Tensor, n_rays: int) -> tuple[Tensor, Tensor]:
+        weights = torch.zeros_like(alphas)
+        for ray in range(n_rays):
+            mine = ray_indices == ray
+            before = torch.cumprod(1 - alphas[mine], 0) / (1 - alphas[mine])
+            weights = weights.masked_scatter(mine, alphas[mine] * before)
+        return weights, weights
+
+    def accumulate_along_rays(weights: Tensor, values: Tensor | None, ray_indices: Tensor, n_rays: int) -> Tensor:
+        values = weights[:, None] if values is None else weights[:, None] * values
+        return torch.zeros(n_rays, values.shape[1], dtype=values.dtype).index_add(0, ray_indices, values)
+
+    stub = types.ModuleType("nerfacc")
+    stub.render_weight_from_alpha = render_weight_from_alpha  # type: ignore[attr-defined]
+    stub.accumulate_along_rays = accumulate_along_rays  # type: ignore[attr-defined]
+    monkeypatch.setitem(sys.modules, "nerfacc", stub)
+    from gsplat.cuda import _torch_impl_2dgs
+
+    return _torch_impl_2dgs

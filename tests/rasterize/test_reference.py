@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
-import types
 from dataclasses import replace
 
 import pytest
@@ -99,32 +97,6 @@ def test_gradients_are_finite_differences(scene_named) -> None:
         return (torch.cat((r.features, r.normal, scalars), -1) * weights).sum()
 
     assert torch.autograd.gradcheck(weighted_images, scene.inputs(torch.float64), eps=1e-6, atol=1e-5)
-
-
-@pytest.fixture
-def gsplat_torch(monkeypatch: pytest.MonkeyPatch):
-    """gsplat's plain torch 2DGS functions; nerfacc, which they import for two helpers, exists for CUDA only."""
-    pytest.importorskip("gsplat")
-
-    def render_weight_from_alpha(alphas: Tensor, ray_indices: Tensor, n_rays: int) -> tuple[Tensor, Tensor]:
-        weights = torch.zeros_like(alphas)
-        for ray in range(n_rays):
-            mine = ray_indices == ray
-            before = torch.cumprod(1 - alphas[mine], 0) / (1 - alphas[mine])
-            weights = weights.masked_scatter(mine, alphas[mine] * before)
-        return weights, weights
-
-    def accumulate_along_rays(weights: Tensor, values: Tensor | None, ray_indices: Tensor, n_rays: int) -> Tensor:
-        values = weights[:, None] if values is None else weights[:, None] * values
-        return torch.zeros(n_rays, values.shape[1], dtype=values.dtype).index_add(0, ray_indices, values)
-
-    stub = types.ModuleType("nerfacc")
-    stub.render_weight_from_alpha = render_weight_from_alpha  # type: ignore[attr-defined]
-    stub.accumulate_along_rays = accumulate_along_rays  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "nerfacc", stub)
-    from gsplat.cuda import _torch_impl_2dgs
-
-    return _torch_impl_2dgs
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,137 @@
+"""The rasteriser on an NVIDIA GPU: gsplat's 2DGS kernels behind the same function.
+
+Where gsplat's definition differs from `reference`, its own stands: alpha is capped at 0.999 instead of 0.99; a splat is cut by
+whole tiles at about 3.3 sigma, so up to 0.011 of its peak is added at its rim; the depth of a splat is its centre's, not its
+intersection's; the screen-space kernel sits on the middle of the outline's box. `screen_gradient` is what gsplat's own
+densification reads, and `visible` is an upper bound: the opacity of every splat inside the image.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+from importlib.util import find_spec
+from pathlib import Path
+from types import SimpleNamespace
+
+import torch
+from torch import Tensor
+
+from pipeline.errors import UserError
+
+from .constants import NEAR_FRACTION
+from .raster import Raster
+
+TILE = 16  # the only size gsplat tests
+CHANNELS = (1, 2, 3, 4, 8, 16, 32, 64, 128, 256, 512)  # what gsplat compiles for
+
+
+def gsplat_functions() -> SimpleNamespace:
+    """gsplat's four functions, or UserError saying what is missing. They compile themselves at first use, for minutes."""
+    where = "device cuda"
+    if not torch.cuda.is_available():
+        fault = "PyTorch sees no CUDA device" + ("" if torch.version.cuda else " (this is its CPU-only build)")
+        raise UserError(where, fault, "use --device cpu, or install a CUDA build of torch and a driver for it")
+    if find_spec("gsplat") is None:
+        raise UserError(where, "gsplat is not installed", "pip install 'polarfield[cuda]', or use --device cpu")
+    if find_spec("gsplat.csrc") is None:  # no prebuilt kernels in the package: it will call nvcc
+        home = os.environ.get("CUDA_HOME") or os.environ.get("CUDA_PATH") or "/usr/local/cuda"
+        compiler = (Path(home) / "bin" / "nvcc").is_file() or shutil.which("nvcc")
+        for tool, found in (("nvcc, of the CUDA toolkit,", compiler), ("ninja", shutil.which("ninja"))):
+            if not found:
+                needed = (
+                    f"gsplat compiles its kernels with it at first use: install it (CUDA {torch.version.cuda}; set CUDA_HOME)"
+                )
+                raise UserError(where, f"{tool} is missing", f"{needed}, or use --device cpu")
+    from gsplat.cuda import _wrapper
+
+    names = ("fully_fused_projection_2dgs", "isect_tiles", "isect_offset_encode", "rasterize_to_pixels_2dgs")
+    return SimpleNamespace(**{name: getattr(_wrapper, name) for name in names})
+
+
+def padded(colours: Tensor) -> Tensor:
+    """Zeros before the last channel up to a count that gsplat compiles for. [1, N, A] -> [1, N, A']
+
+    gsplat pads too, but with uninitialised memory, whose NaN times a zero cotangent spoils the gradient of alpha.
+    """
+    count = colours.shape[-1]
+    room = next((size for size in CHANNELS if size >= count), None)
+    if room is None:
+        raise ValueError(f"gsplat blends at most {CHANNELS[-1]} channels, two of them for depth; got {count - 2}")
+    zeros = colours.new_zeros(*colours.shape[:-1], room - count)
+    return torch.cat((colours[..., :-1], zeros, colours[..., -1:]), -1)
+
+
+def tile_mask(pixel_mask: Tensor) -> Tensor:
+    """Tiles with a wanted pixel. [H, W] bool -> [1, rows, columns] bool"""
+    pooled = torch.nn.functional.max_pool2d(pixel_mask[None].float(), TILE, ceil_mode=True)
+    return pooled > 0
+
+
+def rasterize_cuda(
+    means: Tensor,  # [N, 3]
+    quats: Tensor,  # [N, 4]
+    scales: Tensor,  # [N, 2]
+    opacities: Tensor,  # [N]
+    features: Tensor,  # [N, C]
+    world_to_camera: Tensor,  # [4, 4]
+    intrinsics: Tensor,  # [3, 3]
+    width: int,
+    height: int,
+    *,
+    near: float | None = None,
+    pixel_mask: Tensor | None = None,  # [H, W]
+    screen_filter: bool = True,
+) -> Raster:
+    """`rasterize` by gsplat, in float32, on the device of `means`."""
+    if not screen_filter:
+        raise ValueError("gsplat always applies the screen-space filter")
+    gsplat = gsplat_functions()
+    means, quats, scales, opacities, features = (t.float() for t in (means, quats, scales, opacities, features))
+    camera = world_to_camera.detach().to(means)
+    z_centre = (means.detach() @ camera[2, :3]) + camera[2, 3]
+    front = z_centre[z_centre > 0]
+    z_ref = float(front.median()) if len(front) else 1.0  # one host synchronisation a call
+    near = NEAR_FRACTION * z_ref if near is None else near
+    thickness = torch.ones_like(scales[:, :1])  # the third axis is not used
+    projected = gsplat.fully_fused_projection_2dgs(
+        means, quats, torch.cat((scales, thickness), 1), camera[None], intrinsics.detach().to(means)[None], width, height,
+        near_plane=near,
+    )  # fmt: skip
+    radii, means2d, depths, transforms, normals = projected  # [1, N, ...] each
+
+    rows, columns = -(-height // TILE), -(-width // TILE)
+    _, pairs, splat_ids = gsplat.isect_tiles(means2d, radii, depths, TILE, columns, rows, n_images=1)
+    offsets = gsplat.isect_offset_encode(pairs, 1, columns, rows).reshape(1, rows, columns)
+    spread = (depths - z_ref)[..., None] ** 2
+    colours = padded(torch.cat((features[None], spread, depths[..., None]), -1))  # gsplat's median reads the last one
+    densify = torch.zeros_like(means2d, requires_grad=True)
+    screen_gradient = torch.zeros_like(opacities)
+
+    def keep_norm(gradient: Tensor) -> None:
+        screen_gradient.copy_(gradient[0].norm(dim=-1))
+
+    densify.register_hook(keep_norm)
+    blended, alphas, normal, _, median = gsplat.rasterize_to_pixels_2dgs(
+        means2d, transforms, colours, opacities[None], normals, densify, width, height, TILE, offsets, splat_ids,
+        masks=None if pixel_mask is None else tile_mask(pixel_mask.to(means.device)),
+    )  # fmt: skip
+
+    wanted = torch.ones_like(alphas[0]) if pixel_mask is None else pixel_mask.to(alphas)[..., None]
+    blended, alphas, normal, median = (torch.where(wanted > 0, image[0], 0.0) for image in (blended, alphas, normal, median))
+    channels = features.shape[1]
+    alpha, expected = alphas[..., 0], blended[..., -1]
+    moment1 = expected - z_ref * alpha
+    half_reached = (alpha >= 0.5).to(median)  # gsplat gives the last splat's depth where half is never reached
+    inside = (radii[0] > 0).all(-1)
+    return Raster(
+        features=blended[..., :channels],
+        alpha=alpha,
+        normal=normal @ camera[:3, :3],
+        depth_expected=expected,
+        depth_median=median[..., 0] * half_reached,
+        distortion=alpha * blended[..., channels] - moment1**2,
+        screen_gradient=screen_gradient,
+        visible=torch.where(inside, opacities.detach(), 0.0),
+        radii=radii[0].amax(-1).to(opacities.dtype),
+    )
