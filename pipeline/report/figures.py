@@ -58,6 +58,16 @@ FIGURES = {
     "tangent_median_deg": Figure("Tangent, median error", "°"),
     "residual_median": Figure("Residual of the fit, median", "%", 2, 100),
     "flagged_pct": Figure("Flagged pixels", "%", 1),
+    "pixels": Figure("Pixels of the object", "", 0),
+    "diffuse_normal_mean_deg": Figure("Diffuse normals, mean error", "°"),
+    "diffuse_normal_p90_deg": Figure("Diffuse normals, 90th percentile", "°"),
+    "specular_normal_mean_deg": Figure("Specular normals, mean error", "°"),
+    "specular_normal_p90_deg": Figure("Specular normals, 90th percentile", "°"),
+    "normal_p90_deg": Figure("Normals, 90th percentile", "°"),
+    "scale_r": Figure("Best factor, red", "", 3),
+    "scale_g": Figure("Best factor, green", "", 3),
+    "scale_b": Figure("Best factor, blue", "", 3),
+    "polariser_error_deg": Figure("Polariser angles, error", "°"),
     "saturated_fraction": Figure("Saturated samples", "%", 3, 100),
     "noise": Figure("Noise of a sample", "", 5),
     "coverage": Figure("Object in the frame", "%", 1, 100),
@@ -129,7 +139,8 @@ def _tables_of(title: str, table: Mapping[str, Any]) -> list[dict[str, Any]]:
         if name in SKIPPED:
             continue
         if isinstance(value, Mapping) and ("views" in value or "why" in value or "pixels" in value):
-            parts += _tables_of(f"{title}: {name}", value)
+            if "pixels" not in value or "why" in value:  # a camera's figures are in the rows
+                parts += _tables_of(f"{title}: {name}", value)
             continue
         figures.append({"title": describe(name).title, "name": name, "value": text_of(name, value), "why": why.get(name, "")})
     listed = table.get("views")

@@ -16,7 +16,7 @@ class MeshParameters:
 
     voxel_px: float = field(default=1.2, metadata={"help": "voxel edge, in pixel footprints on the object (px)"})
     max_voxels: int = field(default=320, metadata={"help": "voxels along the object's longest side at most (count)"})
-    truncation_voxels: float = field(default=5.0, metadata={"help": "truncation distance (voxels)"})
+    truncation_voxels: float = field(default=6.0, metadata={"help": "truncation distance (voxels)"})
     grazing: float = field(default=0.15, metadata={"help": "least cosine between ray and normal of a depth that counts"})
     component_pct: float = field(default=2.0, metadata={"help": "smaller pieces than this go (percent of the largest's area)"})
     fill_holes: bool = field(default=True, metadata={"help": "close holes that no view sees into (such as the underside)"})
