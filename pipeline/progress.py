@@ -18,13 +18,13 @@ class Bar:
         self.title, self.total, self.unit, self.stream = title, max(total, 1e-9), unit, stream
         self.done, self.extra = 0.0, ""
         self.first_done: float | None = None  # work of an earlier leg says nothing about this leg's speed
-        self.started = self.spoken = time.monotonic()
+        self.started = self.spoken = self.measured_from = time.monotonic()
 
     def advance(self, amount: float = 1, extra: str = "") -> None:
         """Count `amount` units as done; `extra` is shown beside the bar (a loss, a PSNR)."""
-        if self.first_done is None:
-            self.first_done = self.done
         self.done += amount
+        if self.first_done is None:  # the first unit may have paid for compilation: speed is measured from here on
+            self.first_done, self.measured_from = self.done, time.monotonic()
         self.extra = extra or self.extra
         self._show()
 
@@ -33,11 +33,11 @@ class Bar:
         self.done += amount
 
     def time_left_s(self) -> float | None:
-        """Seconds left at the speed so far; None before anything is done."""
-        done_here = self.done - (self.first_done or 0.0)
+        """Seconds left at the speed since the first advance; None before the second."""
+        done_here = self.done - self.first_done if self.first_done is not None else 0.0
         if done_here <= 0:
             return None
-        return (time.monotonic() - self.started) * max(self.total - self.done, 0.0) / done_here
+        return (time.monotonic() - self.measured_from) * max(self.total - self.done, 0.0) / done_here
 
     def _line(self) -> str:
         left = self.time_left_s()
