@@ -26,7 +26,8 @@ def test_rays_and_projection_agree_with_pixel_centres_at_half():
 
 def test_opengl_matrices_round_trip_and_files_keep_cameras(tmp_path):
     camera = looking_at_origin(33)
-    np.testing.assert_allclose(camera_from_opengl(opengl_from_camera(camera.world_to_camera)), camera.world_to_camera, atol=1e-12)
+    np.testing.assert_allclose(camera_from_opengl(opengl_from_camera(camera.world_to_camera)), camera.world_to_camera,
+                               atol=1e-12)  # fmt: skip
     save_cameras(tmp_path / "cameras.json", {"view": camera})
     back = load_cameras(tmp_path / "cameras.json")["view"]
     np.testing.assert_allclose(back.world_to_camera, camera.world_to_camera, atol=1e-12)
