@@ -34,25 +34,26 @@ def from_colmap(
         stem = PurePosixPath(name).with_suffix("").as_posix() if PurePosixPath(name).suffix else name
         by_name[stem] = camera
         bare.setdefault(PurePosixPath(stem).name, []).append(camera)
-    cameras, missing = {}, []
+    cameras: dict[str, Camera] = {}
+    missing: list[str] = []
     for view in views:
-        camera = None
+        found: Camera | None = None
         for path in view.paths:
             stem = path.relative_to(folder).with_suffix("").as_posix()
             alone = bare.get(path.stem, [])
-            camera = camera or by_name.get(stem) or (alone[0] if len(alone) == 1 else None)
-        camera = camera or by_name.get(view.view)
-        if camera is None:
+            found = found or by_name.get(stem) or (alone[0] if len(alone) == 1 else None)
+        found = found or by_name.get(view.view)
+        if found is None:
             missing.append(view.view)
             continue
-        if view.size is not None and (camera.width, camera.height) != view.size:
-            if not _same_shape(camera, view.size):
-                have, want = f"{view.size[0]}x{view.size[1]}", f"{camera.width}x{camera.height}"
+        if view.size is not None and (found.width, found.height) != view.size:
+            if not _same_shape(found, view.size):
+                have, want = f"{view.size[0]}x{view.size[1]}", f"{found.width}x{found.height}"
                 raise UserError(
                     view.paths[0], f"is {have}, its COLMAP camera {want}", "use the images that COLMAP saw, unrotated"
                 )
-            camera = camera.resized(*view.size)
-        cameras[view.view] = replace(camera, name=view.camera)
+            found = found.resized(*view.size)
+        cameras[view.view] = replace(found, name=view.camera)
     if not cameras:
         raise UserError(
             place, f"none of its images is here (first: {next(iter(model.cameras))})", "give the images COLMAP's names"

@@ -173,7 +173,7 @@ def _convert(hint: Any, value: Any, path: Path, key: str) -> Any:
 def _spoken(hint: Any) -> str:
     names = {float: "a number", bool: "true or false", str: "text"}
     origin = typing.get_origin(hint)
-    return names.get(hint) or {dict: "a table", tuple: "a list"}.get(origin) or "a table"  # type: ignore[arg-type]
+    return names.get(hint) or {dict: "a table", tuple: "a list"}.get(origin) or "a table"
 
 
 def _check(config: CaptureConfig, path: Path) -> None:

@@ -94,9 +94,9 @@ def find_masks(root: Path, views: Mapping[str, Path], folder: Path) -> tuple[dic
         return {}, []
     by_stem: dict[str, Path] = {}
     for path in list_images(where, PHOTO_SUFFIXES):
-        relative = path.relative_to(where).with_suffix("").as_posix()
-        by_stem.setdefault(relative, path)
-        by_stem.setdefault(relative.replace("/", "_"), path)
+        name = path.relative_to(where).with_suffix("").as_posix()
+        by_stem.setdefault(name, path)
+        by_stem.setdefault(name.replace("/", "_"), path)
     found: dict[str, Path] = {}
     for view, image in views.items():
         relative = image.relative_to(folder)

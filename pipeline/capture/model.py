@@ -116,7 +116,7 @@ class Capture:
     views: tuple[ViewSource, ...] = ()
     light_stage: LightStage | None = None
     environments: tuple[Path, ...] = ()
-    config: CaptureConfig = CaptureConfig()
+    config: CaptureConfig = field(default_factory=CaptureConfig)
     up: str = "y"
     cameras: dict[str, Camera] | None = None
     masks: dict[str, Path] | Literal["alpha"] | None = None

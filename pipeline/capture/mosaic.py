@@ -137,8 +137,7 @@ def _along_edges(image: Plane) -> Plane:
     down = cv2.sepFilter2D(image, cv2.CV_32F, NEIGHBOURS, SLOPE, borderType=cv2.BORDER_REFLECT_101)
     row = cv2.sepFilter2D(image, cv2.CV_32F, NEIGHBOURS, ONE, borderType=cv2.BORDER_REFLECT_101)
     column = cv2.sepFilter2D(image, cv2.CV_32F, ONE, NEIGHBOURS, borderType=cv2.BORDER_REFLECT_101)
-    across *= across
-    down *= down
+    across, down = across * across, down * down
     share = (down + DARK) / (across + down + 2 * DARK)
     return column + share * (row - column)
 

@@ -96,7 +96,7 @@ def read_linear(path: Path, radiometry: RadiometryConfig, sensor_data: bool = Fa
         white = (radiometry.white_level if radiometry.white_level is not None else full) / full
         black = (radiometry.black_level or 0.0) / full
         limit = white * (radiometry.saturation or (1.0 if encoding == "srgb" else DEFAULT_SATURATION))
-        saturated = (pixels[..., colour] >= limit).any(-1)
+        saturated = np.any(pixels[..., colour] >= limit, axis=-1)
         if (black, white) != (0.0, 1.0):
             pixels[..., colour] = (pixels[..., colour] - np.float32(black)) / np.float32(white - black)
     elif radiometry.black_level:
@@ -158,7 +158,7 @@ def fill_holes(image: NDArray[np.float32]) -> NDArray[np.bool_] | None:
     if np.isfinite(image.sum(dtype=np.float64)):
         return None
     flat = image.reshape(*image.shape[:2], -1)
-    holes = ~np.isfinite(flat).all(-1)
+    holes: NDArray[np.bool_] = np.any(~np.isfinite(flat), axis=-1)
     if holes.all():
         flat[:] = 0
         return holes

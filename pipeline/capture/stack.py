@@ -24,7 +24,7 @@ def polariser_design(angles_deg: Sequence[float], extinction: float | None = Non
 
 def design_covariance(design: NDArray[np.float64]) -> NDArray[np.float64]:
     """Covariance [3, 3] of the least-squares (s0, s1, s2) for samples of unit variance."""
-    return np.linalg.pinv(design.T @ design)
+    return np.asarray(np.linalg.pinv(design.T @ design), np.float64)
 
 
 def solve_stack(

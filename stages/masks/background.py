@@ -95,7 +95,7 @@ class Labels:
         """Colours from labels, voxels from colours, labels from both."""
         colour = colour_log_odds(self.bins, self.probability)
         for k, mask in self.known.items():
-            colour[k] = (2 * mask - 1) * MAX_LOG_ODDS
+            colour[k] = (2 * mask.astype(np.float64) - 1) * MAX_LOG_ODDS
         blurred = [_smooth(c) for c in colour]
         for b, reachable in zip(blurred, self.reachable):
             b[~reachable] = -MAX_LOG_ODDS
@@ -134,7 +134,8 @@ def _shrunk(image: NDArray[np.float32], camera: Camera, longest: int) -> tuple[N
     if factor >= 1:
         return image, camera
     width, height = max(1, round(image.shape[1] * factor)), max(1, round(image.shape[0] * factor))
-    return cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), camera.resized(width, height)
+    small = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA).astype(np.float32)
+    return small, camera.resized(width, height)
 
 
 def _full_size(log_odds: NDArray, image: NDArray[np.float32]) -> NDArray[np.bool_]:

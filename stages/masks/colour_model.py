@@ -66,7 +66,7 @@ def colour_log_odds(
     Labels of the object still hold background; as the background's colours are known from where the object cannot be,
     that share is found (the ratio of the two histograms over the bulk of the background) and taken out.
     """
-    inside = sum(histogram(b, p) for b, p in zip(bins, probability))
+    inside = np.sum([histogram(b, p) for b, p in zip(bins, probability)], axis=0)
     behind = [histogram(b, np.where(p < 0.5, (1 - p) ** 2, 0)) for b, p in zip(bins, probability)]
     everywhere = np.sum(behind, axis=0)
     inside, everywhere = inside / max(inside.sum(), 1e-12), everywhere / max(everywhere.sum(), 1e-12)

@@ -35,5 +35,6 @@ def grabcut(image: NDArray[np.float32], trimap: NDArray[np.uint8]) -> NDArray[np
     if object_now.all() or not object_now.any() or np.ptp(image) == 0:
         return object_now
     cv2.setRNGSeed(0)  # its k-means starts at random
-    cv2.grabCut(display(image), labels, None, np.zeros((1, 65)), np.zeros((1, 65)), ROUNDS, cv2.GC_INIT_WITH_MASK)
+    whole = (0, 0, 0, 0)  # unused with a mask
+    cv2.grabCut(display(image), labels, whole, np.zeros((1, 65)), np.zeros((1, 65)), ROUNDS, cv2.GC_INIT_WITH_MASK)
     return (labels == cv2.GC_FGD) | (labels == cv2.GC_PR_FGD)

@@ -23,10 +23,8 @@ CHECK_SIZE = 240
 def make_masks(stage: StageRun) -> None:
     """Fill the stage's folder. Raises UserError on masks that cannot be meant."""
     method, reason = choose_method(stage.capture, stage.parameters)
-    if stage.capture.kind == "light_stage":
-        masks = light_stage_masks(stage, method)
-    else:
-        masks = multiview_masks(stage, method)
+    make = light_stage_masks if stage.capture.kind == "light_stage" else multiview_masks
+    masks = make(stage, method)
     methods = {name: used for name, (_, used) in masks.items()}
     pixels = {name: mask for name, (mask, _) in masks.items()}
     views: dict[str, dict[str, Any]] = {}

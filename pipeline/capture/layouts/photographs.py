@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Literal
 
 from pipeline.capture.assemble import assemble, folder_camera, outside_images
 from pipeline.capture.config import CaptureConfig
@@ -42,6 +43,7 @@ def read(root: Path, config: CaptureConfig) -> Capture:
     """Open a folder of photographs."""
     folder, paths = pictures(root)
     sources = discover(paths, folder, config, lambda g: folder_camera(g.paths, folder, config), kind="colour")
+    polarisation: Literal["stokes", "polarisers", "none"]
     polarisation = "stokes" if sources.holds_stokes else "polarisers" if config.polarisers else "none"
     return assemble(root, "photographs", config, folder, sources.views, polarisation, facts=sources.facts)
 

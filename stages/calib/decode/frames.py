@@ -114,7 +114,7 @@ def _saturated(decoded: DecodedView, source: ViewSource) -> NDArray[np.bool_] | 
     level = clip_level(s0) if decoded.design is None else None
     if level is None:
         return marked
-    plateau = (s0 >= np.float32(level)).any(-1)
+    plateau: NDArray[np.bool_] = np.any(s0 >= np.float32(level), axis=-1)
     return plateau if marked is None else marked | plateau
 
 
@@ -158,7 +158,7 @@ def _tell(stage: StageRun, records: dict[str, FrameRecord]) -> None:
     stage.note("saturated_views", len(clipped))
     if impossible > total * 0.01:  # noise alone makes a few; more has a cause that the user can mend
         stage.warn(
-            f"{stage.capture.root}: {100 * impossible / total:.1f} % of the pixels have DoLP above 1: black level, frame or order?"
+            f"{stage.capture.root}: DoLP is above 1 in {100 * impossible / total:.1f} % of the pixels: black level, order?"
         )
     if clipped:
         stage.progress.say(f"saturated samples in {count(clipped, 'view')} ({some(clipped)})")

@@ -32,21 +32,22 @@ def index_light_stage(stage: StageRun) -> None:
         camera, path = item
         pixels = read_image(path)
         if pixels.shape[:2] != (camera.camera.height, camera.camera.width):
-            fault = f"is {pixels.shape[1]}x{pixels.shape[0]}, the camera's other frames {camera.camera.width}x{camera.camera.height}"
+            have, want = f"{pixels.shape[1]}x{pixels.shape[0]}", f"{camera.camera.width}x{camera.camera.height}"
+            fault = f"is {have}, the camera's other frames {want}"
             raise UserError(path, fault, "export every frame of a camera in one size")
         finite = np.isfinite(pixels)
         wrong = int(pixels.size - np.count_nonzero(finite))
         return path, np.where(finite, pixels, 0) if wrong else pixels, wrong
 
-    with stage.progress.bar("looking at light-stage frames", len(frames), "frames") as bar:
-        with ThreadPoolExecutor(max(1, stage.jobs)) as pool:
-            for start in range(0, len(frames), BATCH):  # a bound on the frames in memory
-                for path, pixels, wrong in pool.map(look, frames[start : start + BATCH]):
-                    search.add(pixels)
-                    tops[path] = float(pixels.max(initial=0.0))
-                    if wrong:
-                        bad[path] = wrong
-                    bar.advance()
+    title = "looking at light-stage frames"
+    with stage.progress.bar(title, len(frames), "frames") as bar, ThreadPoolExecutor(max(1, stage.jobs)) as pool:
+        for start in range(0, len(frames), BATCH):  # a bound on the frames in memory
+            for path, pixels, wrong in pool.map(look, frames[start : start + BATCH]):
+                search.add(pixels)
+                tops[path] = float(pixels.max(initial=0.0))
+                if wrong:
+                    bad[path] = wrong
+                bar.advance()
     level = _told_level(stage) or search.level()
     clipped = [path for path, top in tops.items() if level is not None and top >= level]
     samples = _clipped_fraction(clipped, level, frames)

@@ -31,7 +31,10 @@ GLOBAL_GROWTH = 1.4
 """The whole model is adjusted again when it has grown by this factor (COLMAP: 1.1); the last adjustment is global anyway."""
 MIN_FEATURES = 50
 MIN_VIEWS = 3
-ADVICE = "more overlap between neighbours, more texture in view (a printed mat under the object), sharp pictures, or cameras in transforms.json"
+ADVICE = (
+    "more overlap between neighbours, more texture in view (a printed mat under the object), sharp pictures, "
+    "or cameras in transforms.json"
+)
 
 
 def find_cameras(stage: StageRun) -> None:
