@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import torch
+from numpy.typing import NDArray
 
 from pipeline.lighting import Occlusion
 from pipeline.lighting.occluder import Occluder, simplified
@@ -16,6 +18,7 @@ from .turntable import read_ply
 
 TRANSFER_TEXELS = 16  # along a cube face: shadows' edges are 6 degrees wide
 FACES = 20_000  # of the mesh that throws them
+NEIGHBOURS = 3  # coarse vertices that a fine one is interpolated from
 
 
 class SelfOcclusion:
@@ -29,6 +32,7 @@ class SelfOcclusion:
         self._lobe = model.lobe
         coarse, triangles = simplified(vertices, faces, FACES)
         _, nearest = cKDTree(vertices).query(coarse)
+        self._coarse_of_fine = cKDTree(coarse).query(vertices, k=NEIGHBOURS)
         material = attributes[nearest, 3:]
         ior = float(np.median(material[:, 4]))
         self._transfer = Transfer(
@@ -39,6 +43,14 @@ class SelfOcclusion:
     def under(self, lamp: Lamp) -> SurfaceLight:
         """Light at the mesh's vertices under a map."""
         return self._transfer.light(lamp.cube)
+
+    def on_mesh(self, light: SurfaceLight) -> NDArray[np.float32]:
+        """Shadow and bounced light [V, 6] at the vertices of mesh.ply, from the nearest of the coarse mesh's."""
+        distance, index = self._coarse_of_fine
+        weight = 1 / (distance + 1e-3 * distance.max() + np.finfo(float).tiny)  # a vertex of both meshes takes its own value
+        weight /= weight.sum(1, keepdims=True)
+        values = torch.cat([light.shadow, light.bounced], 1).numpy()
+        return np.einsum("vk,vkc->vc", weight, values[index]).astype(np.float32)
 
     def at(self, name: str, surface: Surface, light: SurfaceLight) -> Occlusion:
         """What shading needs at a view's points; the rays of a named view are cast once."""

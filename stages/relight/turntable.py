@@ -35,8 +35,8 @@ class TexturedMesh:
         self._scene = o3d.t.geometry.RaycastingScene()
         self._scene.add_triangles(self._tensor(vertices.astype(np.float32)), self._tensor(self.faces.astype(np.uint32)))
 
-    def hit(self, origin: NDArray, directions: NDArray) -> tuple[NDArray[np.bool_], NDArray, NDArray]:
-        """Rays from `origin` along `directions` [N, 3]: which hit, and position [M, 3], attributes [M, 8] of those."""
+    def hit(self, origin: NDArray, directions: NDArray, attributes: NDArray) -> tuple[NDArray[np.bool_], NDArray, NDArray]:
+        """Rays from `origin` along `directions` [N, 3]: which hit, and position [M, 3], attributes [M, C] of those [V, C]."""
         rays = np.concatenate([np.broadcast_to(origin, directions.shape), directions], -1).astype(np.float32)
         answer = self._scene.cast_rays(self._tensor(rays))
         distance = answer["t_hit"].numpy()
@@ -44,7 +44,7 @@ class TexturedMesh:
         corner = self.faces[answer["primitive_ids"].numpy()[hit].astype(np.int64)]
         u, v = answer["primitive_uvs"].numpy()[hit].T
         share = np.stack([1 - u - v, u, v], -1)
-        values = np.einsum("nk,nkc->nc", share, self.attributes[corner])
+        values = np.einsum("nk,nkc->nc", share, attributes[corner])
         return hit, origin + directions[hit] * distance[hit, None], values
 
 
@@ -87,21 +87,31 @@ def orbit(cameras: dict[str, Camera], centre: NDArray, up: str, count: int, size
     return out
 
 
-def render(
-    mesh: TexturedMesh, camera: Camera, lamp: Lamp, name: str = "", occluder: SelfOcclusion | None = None, shadows: Any = None
-) -> NDArray[np.float32]:
-    """Linear RGB [H, W, 3] of the mesh on black; with `occluder` and its light under this map, self-shadowed."""
+def render(mesh: TexturedMesh, camera: Camera, lamp: Lamp, received: NDArray | None = None) -> NDArray[np.float32]:
+    """Linear RGB [H, W, 3] of the mesh on black; `received` [V, 6] is the shadow and bounced light at its vertices."""
     fine = camera.resized(camera.width * SUPERSAMPLE, camera.height * SUPERSAMPLE)
     rays = fine.rays().reshape(-1, 3)
     frame_x, frame_y = (f.reshape(-1, 3) for f in fine.stokes_frame())
-    hit, position, values = mesh.hit(fine.centre, rays)
+    attributes = mesh.attributes if received is None else np.concatenate([mesh.attributes, received], 1)
+    hit, position, values = mesh.hit(fine.centre, rays, attributes)
     normal = values[:, :3] / np.linalg.norm(values[:, :3], axis=1, keepdims=True)
-    surface = Surface(position, normal, -rays[hit], values[:, 3:], frame_x[hit], frame_y[hit])
+    surface = Surface(position, normal, -rays[hit], values[:, 3:8], frame_x[hit], frame_y[hit])
+    occlusion = None if received is None else _diffuse_occlusion(values[:, 8:])
     image = np.zeros((len(rays), 3), np.float32)
-    occlusion = occluder.at(name, surface, shadows) if occluder is not None else None
     image[hit] = np.nan_to_num(lamp.stokes(surface, occlusion)[:, 0])
     blocks = image.reshape(camera.height, SUPERSAMPLE, camera.width, SUPERSAMPLE, 3)
     return blocks.mean((1, 3))
+
+
+def _diffuse_occlusion(values: NDArray) -> Any:
+    """Shadow and bounced light as shading takes them; reflections go free."""
+    import torch
+
+    from pipeline.lighting import Occlusion
+
+    both = torch.as_tensor(np.ascontiguousarray(values, np.float32))
+    ones = torch.ones(len(values))
+    return Occlusion(both[:, :3].contiguous(), both[:, 3:].contiguous(), ones, torch.zeros(len(values), 3))
 
 
 def write_turntable(
@@ -117,10 +127,10 @@ def write_turntable(
     centre = (mesh.low + mesh.high) / 2
     p = run.parameters
     frames = []
-    shadows = occluder.under(lamp) if occluder is not None else None
+    received = occluder.on_mesh(occluder.under(lamp)) if occluder is not None else None
     with run.progress.bar("turntable", total=p.turntable, unit="frames") as bar:
         for k, camera in enumerate(orbit(cameras, centre, lamp.model.up, p.turntable, p.turntable_size)):
-            shown = (srgb_encode(render(mesh, camera, lamp, f"turntable {k}", occluder, shadows)) * 255 + 0.5).astype(np.uint8)
+            shown = (srgb_encode(render(mesh, camera, lamp, received)) * 255 + 0.5).astype(np.uint8)
             write_png(folder / "turntable" / f"{k:03d}.png", shown)
             frames.append(Image.fromarray(shown))
             bar.advance(1)

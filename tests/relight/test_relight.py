@@ -144,8 +144,9 @@ def test_self_occlusion_darkens_the_bowl_and_brightens_nothing_by_much(relit):
 
 
 @pytest.mark.slow
-def test_turntable_shows_the_mesh_all_around(relit):
-    run = relit(turntable=3, turntable_size=48)
+@pytest.mark.parametrize("occlusion", [False, True])
+def test_turntable_shows_the_mesh_all_around(relit, occlusion):
+    run = relit(occlusion=occlusion, turntable=3, turntable_size=48)
     frames = [read_image(run.output / "sky" / "turntable" / f"{k:03d}.png") for k in range(3)]
     shown = [(f.max(-1) > 0).mean() for f in frames]
     assert 0.08 < min(shown) <= max(shown) < 0.8
