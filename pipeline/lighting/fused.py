@@ -26,7 +26,7 @@ _MIN_COSINE, _MIN_IOR = np.float32(limits.MIN_COSINE), np.float32(limits.MIN_IOR
 _MIN_ROUGHNESS, _MAX_ROUGHNESS = np.float32(limits.MIN_ROUGHNESS), np.float32(limits.MAX_ROUGHNESS)
 _TINY = np.float32(1e-9)
 # Everything of fastmath but the licence to ignore NaN and infinity: bad pixels must not become bad indices.
-_MATH = {"nsz", "arcp", "contract", "afn", "reassoc"}
+MATH = {"nsz", "arcp", "contract", "afn", "reassoc"}
 
 
 # Fewer pixels than this are not worth a thread's own table of gradients.
@@ -38,8 +38,8 @@ def chunks(points: int) -> int:
     return max(1, min(get_num_threads(), points // _CHUNK))
 
 
-@njit(cache=True, fastmath=_MATH)
-def _texels(dx, dy, dz, size, index, base):
+@njit(cache=True, fastmath=MATH, error_model="numpy")
+def texels(dx, dy, dz, size, index, base):
     """Where a direction falls: face, (u, v), 1/major, fractions (s, t) and the four rows of the extended table."""
     ax, ay, az = abs(dx), abs(dy), abs(dz)
     if ax >= ay and ax >= az:
@@ -67,8 +67,8 @@ def _texels(dx, dy, dz, size, index, base):
     )  # fmt: skip
 
 
-@njit(cache=True, fastmath=_MATH)
-def _fetch(packed, start, where, k):
+@njit(cache=True, fastmath=MATH, error_model="numpy")
+def fetch(packed, start, where, k):
     """Channel k at a lookup, and its slopes in s and t."""
     _, _, _, _, s, t, a, b, c, d = where
     a, b, c, d = packed[start + a, k], packed[start + b, k], packed[start + c, k], packed[start + d, k]
@@ -76,9 +76,9 @@ def _fetch(packed, start, where, k):
     return top + (bottom - top) * t, (b - a) * (_ONE - t) + (d - c) * t, bottom - top
 
 
-@njit(cache=True, fastmath=_MATH)
-def _add(packed, start, where, k, value):
-    """Adjoint of `_fetch` in the table."""
+@njit(cache=True, fastmath=MATH, error_model="numpy")
+def add(packed, start, where, k, value):
+    """Adjoint of `fetch` in the table."""
     _, _, _, _, s, t, a, b, c, d = where
     packed[start + a, k] += value * (_ONE - s) * (_ONE - t)
     packed[start + b, k] += value * s * (_ONE - t)
@@ -86,8 +86,8 @@ def _add(packed, start, where, k, value):
     packed[start + d, k] += value * s * t
 
 
-@njit(cache=True, fastmath=_MATH)
-def _direction_gradient(where, size, gs, gt):
+@njit(cache=True, fastmath=MATH, error_model="numpy")
+def direction_gradient(where, size, gs, gt):
     """Gradient in the direction of gradients in s and t."""
     face, u, v, inverse = where[0], where[1], where[2], where[3]
     gu = gs * _HALF_ONE * np.float32(size) * inverse
@@ -101,7 +101,7 @@ def _direction_gradient(where, size, gs, gt):
     )
 
 
-@njit(cache=True, fastmath=_MATH)
+@njit(cache=True, fastmath=MATH, error_model="numpy")
 def _surface(c, e):
     """(T, dT/dc, dT/de, beta_d/sin^2, and its slopes): optics.fresnel's forms with derivatives."""
     q = np.sqrt((e - _ONE) * (e + _ONE) + c * c)
@@ -123,7 +123,7 @@ def _surface(c, e):
     return w * p, wc * p + w * pc, we * p + w * pe, body, bc, bE
 
 
-@njit(cache=True, fastmath=_MATH)
+@njit(cache=True, fastmath=MATH, error_model="numpy")
 def _entering(e):
     """Hemispherical transmittance and its slope."""
     x = (e - _CENTRE) / _HALF
@@ -136,7 +136,7 @@ def _entering(e):
     return value, (slope / _HALF if inside else _ZERO)
 
 
-@njit(cache=True, fastmath=_MATH)
+@njit(cache=True, fastmath=MATH, error_model="numpy")
 def _cell(x, size):
     """Lower node and fraction of a grid coordinate, and whether it lies inside."""
     inside = x <= np.float32(size - 1)
@@ -145,7 +145,7 @@ def _cell(x, size):
     return i, x - np.float32(i), _ONE if inside else _ZERO
 
 
-@njit(cache=True, fastmath=_MATH)
+@njit(cache=True, fastmath=MATH, error_model="numpy")
 def _mirror(table, e, r, c, k):
     """Channel k of the split-sum table with its slopes in eta, r and cosine."""
     root = np.sqrt(c)
@@ -168,8 +168,8 @@ def _mirror(table, e, r, c, k):
     )
 
 
-@njit(cache=True, fastmath=_MATH)
-def _level(r, nodes):
+@njit(cache=True, fastmath=MATH, error_model="numpy")
+def level_below(r, nodes):
     """Specular level below a roughness and the fraction towards the next."""
     k = 0
     while k < len(nodes) - 2 and r >= nodes[k + 1]:
@@ -178,15 +178,16 @@ def _level(r, nodes):
     return k, (r - nodes[k]) / width, _ONE / width
 
 
-@njit(cache=True, parallel=True, fastmath=_MATH)
+@njit(cache=True, parallel=True, fastmath=MATH, error_model="numpy")
 def forward(
     normal, view, albedo, roughness, ior, frame_x, frame_y, packed, nodes, sizes, starts, index, bases, table,
-    shadow, bounced, unblocked, seen, stokes, diffuse, specular,
+    shadow, bounced, unblocked, seen, given, turned, stokes, diffuse, specular,
 ):  # fmt: skip
     """Fill stokes [P, 3, 3], diffuse and specular [P, 3]; the last entry of sizes, starts and bases is the diffuse level.
 
     shadow [P, 3], bounced [P, 3]: received = shadow * irradiance + bounced; unblocked [P], seen [P, 3]: the same for
-    the mirrored light. Empty arrays: no occlusion.
+    the mirrored light. given [P, 3], turned [P, 2, 3]: mirrored light from `lobe` in place of the split sum's.
+    Empty arrays: none of it.
     """
     last = len(sizes) - 1
     scale = _ONE / (np.float32(np.pi) * _entering(np.float32(REFERENCE_IOR))[0])
@@ -198,11 +199,11 @@ def forward(
         r = min(max(roughness[p], _MIN_ROUGHNESS), _MAX_ROUGHNESS)
         e = max(ior[p], _MIN_IOR)
         two = _TWO * facing
-        level, fraction, _ = _level(r, nodes)
+        level, fraction, _ = level_below(r, nodes)
         m0, m1, m2 = two * n0 - v0, two * n1 - v1, two * n2 - v2
-        lower = _texels(m0, m1, m2, sizes[level], index, bases[level])
-        upper = _texels(m0, m1, m2, sizes[level + 1], index, bases[level + 1])
-        around = _texels(n0, n1, n2, sizes[last], index, bases[last])
+        lower = texels(m0, m1, m2, sizes[level], index, bases[level])
+        upper = texels(m0, m1, m2, sizes[level + 1], index, bases[level + 1])
+        around = texels(n0, n1, n2, sizes[last], index, bases[last])
         t, _, _, body, _, _ = _surface(c, e)
         leaving = t * _entering(e)[0] * scale
         rho = _mirror(table, e, r, c, 0)[0]
@@ -212,26 +213,35 @@ def forward(
         ny = n0 * frame_y[p, 0] + n1 * frame_y[p, 1] + n2 * frame_y[p, 2]
         cos2, sin2 = (nx - ny) * (nx + ny), _TWO * nx * ny
         for k in range(3):
-            received = _fetch(packed, starts[last], around, k)[0]
-            below = _fetch(packed, starts[level], lower, k)[0]
-            above = _fetch(packed, starts[level + 1], upper, k)[0]
+            received = fetch(packed, starts[last], around, k)[0]
+            below = fetch(packed, starts[level], lower, k)[0]
+            above = fetch(packed, starts[level + 1], upper, k)[0]
             light = below + (above - below) * fraction
             if len(shadow) > 0:
                 received = received * shadow[p, k] + bounced[p, k]
+            if len(given) > 0:
+                light = given[p, k]
+                turn1, turn2 = turned[p, 0, k], turned[p, 1, k]
+            else:
+                turn1, turn2 = across * cos2 * light, across * sin2 * light
             if len(unblocked) > 0:
-                light = light * unblocked[p] + seen[p, k]
+                open_, own = unblocked[p], seen[p, k]
+                light = light * open_ + own
+                turn1, turn2 = turn1 * open_ + across * cos2 * own, turn2 * open_ + across * sin2 * own
             d = leaving * albedo[p, k] * received
             s = mirror * light
-            polarised = body * d - across * s
             diffuse[p, k], specular[p, k] = d, s
-            stokes[p, 0, k], stokes[p, 1, k], stokes[p, 2, k] = d + s, cos2 * polarised, sin2 * polarised
+            stokes[p, 0, k] = d + s
+            stokes[p, 1, k] = cos2 * body * d - mirror * turn1
+            stokes[p, 2, k] = sin2 * body * d - mirror * turn2
 
 
-@njit(cache=True, parallel=True, fastmath=_MATH)
+@njit(cache=True, parallel=True, fastmath=MATH, error_model="numpy")
 def backward(
     normal, view, albedo, roughness, ior, frame_x, frame_y, packed, nodes, sizes, starts, index, bases, table,
-    shadow, bounced, unblocked, seen, g_stokes, g_diffuse, g_specular,
+    shadow, bounced, unblocked, seen, given, turned, g_stokes, g_diffuse, g_specular,
     g_normal, g_view, g_albedo, g_roughness, g_ior, g_packed, g_shadow, g_bounced, g_unblocked, g_seen,
+    g_given, g_turned,
 ):  # fmt: skip
     """Gradients of `forward`; g_packed [chunks, T, 3] is one zeroed table per chunk of pixels, to be summed."""
     last = len(sizes) - 1
@@ -247,11 +257,11 @@ def backward(
             r = min(max(roughness[p], _MIN_ROUGHNESS), _MAX_ROUGHNESS)
             e = max(ior[p], _MIN_IOR)
             two = _TWO * facing
-            level, fraction, slope = _level(r, nodes)
+            level, fraction, slope = level_below(r, nodes)
             m0, m1, m2 = two * n0 - v0, two * n1 - v1, two * n2 - v2
-            lower = _texels(m0, m1, m2, sizes[level], index, bases[level])
-            upper = _texels(m0, m1, m2, sizes[level + 1], index, bases[level + 1])
-            around = _texels(n0, n1, n2, sizes[last], index, bases[last])
+            lower = texels(m0, m1, m2, sizes[level], index, bases[level])
+            upper = texels(m0, m1, m2, sizes[level + 1], index, bases[level + 1])
+            around = texels(n0, n1, n2, sizes[last], index, bases[last])
             t, t_c, t_e, body, body_c, body_e = _surface(c, e)
             enter, enter_e = _entering(e)
             leaving = t * enter * scale
@@ -267,37 +277,51 @@ def backward(
             g_leaving, g_mirror, g_r, g_open = _ZERO, _ZERO, _ZERO, _ZERO
             gs_a, gt_a, gs_l, gt_l, gs_u, gt_u = _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO
             for k in range(3):
-                irradiance, is_, it = _fetch(packed, starts[last], around, k)
-                below, bs, bt = _fetch(packed, starts[level], lower, k)
-                above, us, ut = _fetch(packed, starts[level + 1], upper, k)
+                irradiance, is_, it = fetch(packed, starts[last], around, k)
+                below, bs, bt = fetch(packed, starts[level], lower, k)
+                above, us, ut = fetch(packed, starts[level + 1], upper, k)
                 mirrored = below + (above - below) * fraction
-                received, light = irradiance, mirrored
+                received, own, open_ = irradiance, _ZERO, _ONE
                 if len(shadow) > 0:
                     received = irradiance * shadow[p, k] + bounced[p, k]
                 if len(unblocked) > 0:
-                    light = mirrored * unblocked[p] + seen[p, k]
+                    open_, own = unblocked[p], seen[p, k]
+                far1, far2 = across * cos2 * mirrored, across * sin2 * mirrored
+                if len(given) > 0:
+                    mirrored, far1, far2 = given[p, k], turned[p, 0, k], turned[p, 1, k]
+                light = mirrored * open_ + own
+                turn1, turn2 = far1 * open_ + across * cos2 * own, far2 * open_ + across * sin2 * own
                 d = leaving * albedo[p, k] * received
-                s = mirror * light
-                polarised = body * d - across * s
                 g0, g1, g2 = g_stokes[p, 0, k], g_stokes[p, 1, k], g_stokes[p, 2, k]
-                g_cos2 += g1 * polarised
-                g_sin2 += g2 * polarised
                 gp = cos2 * g1 + sin2 * g2
                 gd = g_diffuse[p, k] + g0 + body * gp
-                gs = g_specular[p, k] + g0 - across * gp
+                gs = g_specular[p, k] + g0
                 g_body += gp * d
-                g_across -= gp * s
                 g_albedo[p, k] = gd * leaving * received
                 g_leaving += gd * albedo[p, k] * received
-                g_mirror += gs * light
+                g_mirror += gs * light - g1 * turn1 - g2 * turn2
                 gi, ge = gd * leaving * albedo[p, k], gs * mirror
+                # Light polarised by the table: all of it, or the object's own alone where `lobe` gave the rest.
+                by_table = light if len(given) == 0 else own
+                g_across -= gp * mirror * by_table
+                g_cos2 += g1 * (body * d - mirror * across * by_table)
+                g_sin2 += g2 * (body * d - mirror * across * by_table)
                 if len(shadow) > 0:
                     g_shadow[p, k], g_bounced[p, k] = gi * irradiance, gi
                     gi *= shadow[p, k]
-                if len(unblocked) > 0:
+                if len(given) > 0:
+                    g_given[p, k] = ge * open_
+                    g_turned[p, 0, k], g_turned[p, 1, k] = -g1 * mirror * open_, -g2 * mirror * open_
+                    g_open += ge * mirrored - mirror * (g1 * far1 + g2 * far2)
+                    if len(unblocked) > 0:
+                        g_seen[p, k] = ge - gp * mirror * across
+                    ge = _ZERO
+                else:
+                    ge -= gp * mirror * across
                     g_open += ge * mirrored
-                    g_seen[p, k] = ge
-                    ge *= unblocked[p]
+                    if len(unblocked) > 0:
+                        g_seen[p, k] = ge
+                    ge *= open_
                 gs_a += gi * is_
                 gt_a += gi * it
                 g_r += ge * (above - below)
@@ -306,9 +330,9 @@ def backward(
                 gt_l += gb * bt
                 gs_u += gu * us
                 gt_u += gu * ut
-                _add(table_gradient, starts[last], around, k, gi)
-                _add(table_gradient, starts[level], lower, k, gb)
-                _add(table_gradient, starts[level + 1], upper, k, gu)
+                add(table_gradient, starts[last], around, k, gi)
+                add(table_gradient, starts[level], lower, k, gb)
+                add(table_gradient, starts[level + 1], upper, k, gu)
             if len(unblocked) > 0:
                 g_unblocked[p] = g_open
 
@@ -321,9 +345,9 @@ def backward(
                 + g_body * body_e + g_across * across_e
             )  # fmt: skip
             g_roughness[p] = g_r * slope + g_mirror * reflect * rho_r + g_across * across_r
-            a0, a1, a2 = _direction_gradient(around, sizes[last], gs_a, gt_a)
-            l0, l1, l2 = _direction_gradient(lower, sizes[level], gs_l, gt_l)
-            u0, u1, u2 = _direction_gradient(upper, sizes[level + 1], gs_u, gt_u)
+            a0, a1, a2 = direction_gradient(around, sizes[last], gs_a, gt_a)
+            l0, l1, l2 = direction_gradient(lower, sizes[level], gs_l, gt_l)
+            u0, u1, u2 = direction_gradient(upper, sizes[level + 1], gs_u, gt_u)
             l0, l1, l2 = l0 + u0, l1 + u1, l2 + u2
             g_f = g_c + _TWO * (n0 * l0 + n1 * l1 + n2 * l2)
             g_x, g_y = _TWO * (g_cos2 * nx + g_sin2 * ny), _TWO * (g_sin2 * nx - g_cos2 * ny)

@@ -25,7 +25,7 @@ COSINE_SCALE = 0.45
 BECKMANN_REACH = 4.0
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True, error_model="numpy")
 def _lobe(kind, cosine, alpha):
     """Kernel at cos(angle to the axis): lobe D(h) (n.l) for a mirror direction equal to normal and view."""
     if cosine <= 0.0:
@@ -47,7 +47,7 @@ def _lobe(kind, cosine, alpha):
     return np.exp(-t2 / a2) / (nh2 * nh2) * cosine
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True, error_model="numpy")
 def _cell(kind, alpha, axis, axes, face, size, j, i, samples):
     """Integral of the kernel over cell (j, i) of a face with size^2 cells: midpoint rule, exact area element."""
     step = 2.0 / (size * samples)
@@ -65,7 +65,7 @@ def _cell(kind, alpha, axis, axes, face, size, j, i, samples):
     return total * step * step
 
 
-@njit(cache=True, fastmath=True)
+@njit(cache=True, fastmath=True, error_model="numpy")
 def _row(kind, alpha, accept, axis, axes, finest, levels, offsets, total, columns, values):
     """One row of weights that sum to `total`: descend from the coarsest cube, whole cells where the kernel is flat.
 
