@@ -73,6 +73,7 @@ def _point(h0, h1, h2, i0, i1, i2, f, ea, eb, c, kind):
     beckmann, ward, flat, inverse_root, root, power = kind
     u0, u1 = ea * x + c * y, eb * y
     q = u0 * u0 + u1 * u1
+    z = max(z, LIGHT_FLOOR)  # h is 0 or behind for a light opposite the view: no lobe reaches there
     fz, fw = ONE / z, ONE / (ONE + z)
     i = beckmann * fz * fz + ward * TWO * fw  # exponent is -q i
     bend = TWO * q * i * (beckmann * fz + ward * HALF * fw) - beckmann * FOUR * fz  # by h·n, of the exponent and (h·n)^-4

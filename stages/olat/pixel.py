@@ -403,6 +403,10 @@ def fit_pixel(cross, parallel, w, o, area, energy, settings, room, out):
     data = data_d / (math.pi * math.pi) + data_s
     out[RESIDUAL] = math.sqrt((square_d / (math.pi * math.pi) + square_s) / data) if data > 0 else 0.0
     out[FLAG] = flag
+    for k in range(out.size):  # overflow of absurd samples: nothing that is not finite leaves this function
+        if not math.isfinite(out[k]):
+            out[k] = 0.0
+            out[FLAG] = BAD_SAMPLES
     return norm, passes
 
 

@@ -155,6 +155,10 @@ def fit_camera(stage: StageRun, job: CameraJob, rig: LightTable, settings: Setti
             near = stage.capture.config.olat.near_light
             points = nearest_points(job.camera, view[pixels]) if near else None
             rows, _ = fit(samples.cross, samples.parallel, view[pixels], rig, settings, parameters.precision, points)
+            if parameters.solver not in ("closed", "gradient"):
+                from stages.olat.paper_chain import solve_band
+
+                solve_band(parameters.solver, samples.cross, samples.parallel, view[pixels], rig, settings, rows)
             if parameters.albedo_over_occlusion:
                 divide_by_occlusion(rows)
             counts += np.bincount(rows[:, FLAG].astype(int), minlength=len(FLAGS))

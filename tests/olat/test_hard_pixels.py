@@ -1,0 +1,115 @@
+"""Pixels with nothing, or too much, to fit: a flag and a stated fallback, never anything that is not finite."""
+
+import numpy as np
+import pytest
+
+from benchmarks.olat_pixels import angle_deg, make
+from stages.olat.fit import fit
+from stages.olat.pixel import BAD_SAMPLES, BLACK, FLAG, GOOD, NO_LOBE, SATURATED, TOO_FEW, columns
+from tests.olat.test_recovery import AT, DEFAULT, run
+
+pytestmark = pytest.mark.slow  # the kernels' first compilation takes most of a minute
+
+
+def flags(rows: np.ndarray) -> set[int]:
+    return set(rows[:, FLAG].astype(int))
+
+
+def test_black_pixels_are_flagged_and_face_the_camera():
+    p = make(5)
+    p.cross[:], p.parallel[:] = 0, 0
+    rows = run(p)
+    assert flags(rows) == {BLACK}
+    assert np.all(rows[:, AT["diffuse_albedo"]] == 0)
+    assert np.allclose(rows[:, AT["normal"]], p.view)
+
+
+def test_negative_pixels_are_black():
+    p = make(5)
+    p.cross[:], p.parallel[:] = -0.01, -0.02
+    assert flags(run(p)) == {BLACK}
+
+
+@pytest.mark.parametrize("lit", [1, 2, 3])
+def test_up_to_three_lit_lights_are_too_few(lit):
+    p = make(20, sigma=(0.3, 0.3))
+    order = np.argsort(-p.cross.mean(-1), axis=0)
+    for j in range(20):
+        p.cross[order[lit:, j], j] = 0
+        p.parallel[order[lit:, j], j] = 0
+    rows = run(p)
+    assert flags(rows) == {TOO_FEW}
+    assert np.all(angle_deg(rows[:, AT["diffuse_normal"]], p.normal) < 60)  # still among the lit lights
+
+
+def test_every_sample_clipped_is_saturated():
+    p = make(5)
+    p.cross[:], p.parallel[:] = 4.0, 4.0
+    assert flags(run(p, saturation=4.0)) == {SATURATED}
+
+
+def test_nan_and_inf_samples_are_left_out():
+    p = make(50, sigma=(0.3, 0.3), seed=1)
+    clean = run(p)
+    p.cross[::40, :, 1] = np.nan
+    p.parallel[7::50, :, 0] = np.inf
+    rows = run(p)
+    assert flags(rows) == {GOOD}
+    assert np.median(angle_deg(rows[:, AT["normal"]], clean[:, AT["normal"]])) < 0.01
+    p.cross[::3] = np.nan
+    assert flags(run(p)) == {BAD_SAMPLES}
+
+
+def test_a_mirror_between_the_lights_is_flagged_not_fitted():
+    p = make(100, sigma=(0.01, 0.01), seed=2)
+    rows = run(p)
+    assert np.mean(rows[:, FLAG] != GOOD) > 0.95
+    assert np.median(angle_deg(rows[:, AT["diffuse_normal"]], p.normal)) < 0.01  # the diffuse side is sound
+
+
+def test_no_specular_light_is_no_lobe_and_the_diffuse_normal_stands_in():
+    p = make(20, seed=3)
+    p.parallel[:] = p.cross
+    rows = run(p)
+    assert flags(rows) == {NO_LOBE}
+    assert np.all(rows[:, AT["specular_albedo"]] == 0) and np.all(rows[:, AT["sigma"]] == 0)
+    assert np.allclose(rows[:, AT["specular_normal"]], rows[:, AT["diffuse_normal"]])
+
+
+def test_a_lobe_wider_than_the_hemisphere_stays_finite():
+    p = make(50, sigma=(5.0, 5.0), seed=4)
+    rows = run(p)
+    assert np.all(rows[:, AT["sigma"]] <= 10.0)
+
+
+def test_a_grazing_view_stays_finite_and_right():
+    p = make(200, sigma=(0.2, 0.2), tilt_deg=86, seed=5)
+    rows = run(p)
+    steep = np.sum(p.normal * p.view, -1) < 0.25
+    assert steep.sum() > 10
+    assert np.median(angle_deg(rows[steep][:, AT["diffuse_normal"]], p.normal[steep])) < 0.05
+
+
+def test_a_black_albedo_under_a_lobe_takes_its_normal_from_the_lobe():
+    p = make(50, sigma=(0.3, 0.3), seed=6)
+    p.parallel -= p.cross
+    p.cross[:] = 0
+    rows = run(p)
+    assert np.median(angle_deg(rows[:, AT["normal"]], p.normal)) < 0.5
+    assert np.all(rows[:, AT["diffuse_albedo"]] == 0)
+
+
+def test_light_exactly_opposite_the_view_is_harmless():
+    p = make(5, sigma=(0.3, 0.3))
+    p.view[:] = -p.rig.directions[10]
+    assert np.isfinite(run(p)).all()
+
+
+def test_very_bright_and_very_dim_captures_give_the_same_maps():
+    p = make(30, sigma=(0.3, 0.2), seed=7)
+    base = run(p)
+    for scale in (1e-3, 1e3):
+        rows, _ = fit((p.cross * scale).astype("f4"), (p.parallel * scale).astype("f4"), p.view, p.rig,
+                      DEFAULT._replace(irradiance=np.pi * scale))  # fmt: skip
+        assert np.allclose(rows[:, AT["sigma"]], base[:, AT["sigma"]], rtol=1e-3)
+        assert np.allclose(rows[:, columns()["diffuse_albedo"]], base[:, AT["diffuse_albedo"]], rtol=1e-4)
