@@ -134,10 +134,12 @@ class _Rasterize(torch.autograd.Function):
         for plane, cotangent in zip(d_scalars, cotangents[2:], strict=True):
             if cotangent is not None:
                 plane[...] = cotangent.numpy()
+        used = attributes.shape[1] if cotangents[1] is not None else -(-d_features.shape[2] // GROUP) * GROUP
         slots = np.empty((len(pair_slot), slot_width(attributes.shape[1])), np.float32)
         run_on_all_cores(
             tiles_backward, tile_start, tile_used, tile_state, pair_splat, pair_slot, geo, attributes, view.screen,
-            bool(d_scalars[3].any()), d_features, d_normal, d_scalars, slots, row_buffers(backward_room(attributes.shape[1])),
+            bool(d_scalars[3].any()), used, d_features, d_normal, d_scalars, slots,
+            row_buffers(backward_room(attributes.shape[1])),
         )  # fmt: skip
         gradients = [np.zeros_like(a) for a in arrays]
         view.screen_gradient[:] = 0

@@ -65,6 +65,7 @@ def pair_backward(
     block_end: np.ndarray,
     g: np.ndarray,
     attribute: np.ndarray,
+    channels: int,
     place: int,
     left: int,
     top: int,
@@ -74,11 +75,11 @@ def pair_backward(
     slots: np.ndarray,
     slot: int,
 ) -> None:
-    """Gradients of the splat at `place` of a tile's list, to slots[slot : slot + G_GEO + A].
+    """Gradients of the splat at `place` of a tile's list, to slots[slot : slot + G_GEO + A], from the first `channels`
+    attributes.
 
     weights [BLOCKS^2 LANES], places [BLOCKS^2]: room for the splat's weights and the blocks they belong to.
     """
-    channels = len(attribute)
     count = 0
     here = _f(place)
     sum_ux = sum_uy = sum_vx = sum_vy = sum_qx = sum_qy = spread(ZERO)
@@ -109,7 +110,7 @@ def pair_backward(
             count += 1
 
             z = select(on_screen, g[Z], g[Z] * inverse)
-            extra = at + CHANNELS + channels * LANES
+            extra = at + stride - EXTRA
             d_z_by_weight = load(buffer, extra + BY_EXPECTED)
             c_0 = load(buffer, extra + BY_ALPHA) + z * d_z_by_weight
             c_1 = c_2 = c_3 = spread(ZERO)
@@ -167,6 +168,8 @@ def pair_backward(
             s_2 += weight * load(buffer, row + 2 * LANES)
             s_3 += weight * load(buffer, row + 3 * LANES)
         store_totals(slots, slot + G_GEO + c, s_0, s_1, s_2, s_3)
+    for c in range(channels, len(attribute), GROUP):
+        store_totals(slots, slot + G_GEO + c, spread(ZERO), spread(ZERO), spread(ZERO), spread(ZERO))
 
 
 @kernel
@@ -218,16 +221,19 @@ def tiles_backward(
     attributes: np.ndarray,
     screen: float,
     with_distortion: bool,
+    channels: int,
     d_features: np.ndarray,
     d_normal: np.ndarray,
     d_scalars: np.ndarray,
     slots: np.ndarray,
     workspace: np.ndarray,
 ) -> None:
-    """Fill slots [S, slot_width(A)] from the cotangents d_features [H, W, C], d_normal [H, W, 3], d_scalars [4, H, W]."""
+    """Fill slots [S, slot_width(A)] from the cotangents d_features [H, W, C], d_normal [H, W, 3], d_scalars [4, H, W].
+
+    channels: attributes that have a cotangent, filled up to whole GROUPs; the rest get zeros.
+    """
     columns = (d_features.shape[1] + TILE - 1) // TILE
-    channels = attributes.shape[1]
-    stride = CHANNELS + channels * LANES + EXTRA
+    stride = CHANNELS + attributes.shape[1] * LANES + EXTRA
     buffer = workspace[take_ticket(counters, 1)]
     weights = buffer[BLOCKS * BLOCKS * stride :]
     block_end = weights[BLOCKS * BLOCKS * LANES :]
@@ -250,6 +256,6 @@ def tiles_backward(
             prefetch_splat(geo, attributes, pair_splat[first + max(place - AHEAD, 0)])
             slot = pair_slot[first + place] * slots.shape[1]
             pair_backward(
-                buffer, stride, weights, places, block_end, geo[s], attributes[s], place, left, top, z_ref, screen,
+                buffer, stride, weights, places, block_end, geo[s], attributes[s], channels, place, left, top, z_ref, screen,
                 with_distortion, slots, slot,
             )  # fmt: skip
