@@ -75,6 +75,14 @@ class SurfaceAdam:
                 self.first[name] = self.first[name][rows].clone()
                 self.second[name] = self.second[name][rows].clone()
 
+    def append(self, names: tuple[str, ...], count: int) -> None:
+        """Moments of `count` new rows: none yet."""
+        for name in names:
+            for moments in (self.first, self.second):
+                if name in moments:
+                    old = moments[name]
+                    moments[name] = torch.cat([old, old.new_zeros(count, *old.shape[1:])])
+
     def state(self) -> dict[str, Any]:
         """Everything a resume needs."""
         return {"first": self.first, "second": self.second, "steps": self.steps}

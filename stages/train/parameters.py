@@ -17,10 +17,12 @@ class TrainParameters:
     iterations: int = _p(2400, "optimisation steps, one training view each (count)")
     max_minutes: float = _p(0.0, "stop refining after this much training time; 0 = no limit (minutes)")
     seed: int = _p(0, "seed of every random choice")
-    max_splats: int = _p(14000, "upper bound of the number of Gaussians (count)")
+    max_splats: int = _p(22000, "upper bound of the number of Gaussians (count)")
+    densify: bool = _p(True, "remove splats that never show and add some where the images pull hardest")
+    start_fraction: float = _p(0.8, "share of max_splats to start with; the rest is for densification (fraction)")
     splat_pixels: float = _p(1.15, "wanted distance between neighbouring Gaussians (pixels of the training images)")
     hull_resolution: int = _p(112, "voxels along the longest side of the visual hull (count)")
-    coarse_fraction: float = _p(0.35, "share of the steps that see images of half the size (fraction)")
+    coarse_fraction: float = _p(0.0, "share of the steps that see images of half the size (fraction)")
     consolidate_fraction: float = _p(0.15, "share of the steps at the end that see every training view (fraction)")
     validation_every: int = _p(0, "hold back every n-th training view for early stopping; 0 = automatic (views)")
     validate_steps: int = _p(200, "steps between validations (steps)")
@@ -30,7 +32,7 @@ class TrainParameters:
 
     polarisation: Literal["auto", "stokes", "polarisers", "none"] = _p("auto", "which polarisation data to use")
     fresnel: Literal["exact", "schlick"] = _p("exact", "Fresnel model of the radiance")
-    lobe: Literal["ggx", "beckmann"] = _p("ggx", "microfacet distribution of the specular lobe")
+    lobe: Literal["ggx", "beckmann"] = _p("beckmann", "microfacet distribution of the specular lobe")
     environment_resolution: int = _p(32, "texels along a side of the environment cube's faces (texels)")
     occlusion: bool = _p(True, "trace self-shadowing and one bounce where the object occludes itself")
 

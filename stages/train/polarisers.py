@@ -42,6 +42,7 @@ class PolariserBank:
         self.free = torch.tensor([0.0 if t else 1.0 for t in trusted], device=device)
         self.angles = torch.tensor(angles, device=device, requires_grad=not all(trusted))
         self.std_deg: list[float | None] = [None] * len(self.names)
+        self.settled = list(known)  # an unknown angle counts for nothing until it has been estimated
 
     def intensity(self, stokes: torch.Tensor, name: str) -> torch.Tensor:
         """Twice the intensity behind the polariser (an unpolarised scene then gives s0), [P, 3] from [P, 3, 3].
@@ -49,13 +50,16 @@ class PolariserBank:
         Row 0 of PhyGaP Eq. 31, times 2; a finite extinction ratio lowers the contrast.
         """
         k = self.names.index(name)
+        if not self.settled[k]:
+            return stokes[:, 0]
         angle = self.angles[k] * 2
         part = torch.cos(angle) * stokes[:, 1] + torch.sin(angle) * stokes[:, 2]
         return stokes[:, 0] + self.contrast[k] * part
 
     def set_angle(self, name: str, radians: float) -> None:
-        """Overwrite one angle (not a trusted one)."""
+        """Overwrite one angle (not a trusted one); it is in use from now on."""
         k = self.names.index(name)
+        self.settled[k] = True
         if not self.trusted[k]:
             with torch.no_grad():
                 self.angles[k] = radians % math.pi

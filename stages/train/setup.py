@@ -57,7 +57,8 @@ def prepare_training(
         (hull.vertices - centre) @ frame.train_from_world.T / half, hull.triangles, hull.normals @ frame.train_from_world.T
     )
     pixel = float(np.median([_pixel_width(s, frame) for s in seen]))
-    count = wanted_count(mesh_area(hull), pixel, parameters.splat_pixels, parameters.max_splats)
+    most = round(parameters.start_fraction * parameters.max_splats)
+    count = wanted_count(mesh_area(hull), pixel, parameters.splat_pixels, most)
     samples = sample_evenly(hull, count, np.random.default_rng(parameters.seed))
     model = SplatModel.from_samples(samples, START_ALBEDO, START_ROUGHNESS, START_IOR, device)
     _tint(model, seen)

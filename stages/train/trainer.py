@@ -12,6 +12,7 @@ from pipeline.lighting import LightField, Occlusion, Prefilter
 
 from . import losses
 from .data import Mode, View
+from .densify import Activity, edges_to_split, keep, kept_rows, split_edges
 from .environment import Environment
 from .evaluate import psnr
 from .frame import SceneFrame
@@ -29,6 +30,9 @@ from .surface_losses import SurfaceWeights, surface_loss
 REFRESH = 100  # steps between rebuilding what depends on the geometry as a whole (graph, occlusion); checkpoints fall here
 OCCLUSION_FROM = 200  # steps before the first tracing: the light and the albedo must mean something
 OCCLUSION_EVERY = 2  # refreshes between tracings
+DENSIFY_EVERY = 2  # refreshes between looks at what shows and what pulls: more than one epoch of 36 views
+DENSIFY_UNTIL = 0.6  # share of the run after which the splats stay as they are
+ANGLE_STEPS = (200, 300, 500)  # steps at which unknown polariser angles are solved for outright; descent does the rest
 POLARISATION_SCALE = 1.0  # L_pol in encoded units weighs as much as L_rgb: both then count display steps
 
 GROUPS = {
@@ -75,6 +79,7 @@ class Trainer:
         self.adam = SurfaceAdam(GROUPS)
         self.prefilter = Prefilter(parameters.environment_resolution, parameters.lobe)
         self.iteration = 0
+        self.activity = Activity.empty(len(scene.model), scene.model["position"].device)
         self.surface_parts: dict[str, float] = {}
         self.occluder: Occluder | None = None
         self.surface_occlusion: SplatOcclusion | None = None
@@ -106,10 +111,28 @@ class Trainer:
     def refresh(self) -> None:
         """Rebuild the surface graph from the current surface and, when it is due, what the object hides from itself."""
         model = self.scene.model
+        if self.scene.graph is None:
+            self.scene.graph = build_graph(model["position"], model["normal"])
+        if self.iteration > 0 and self.iteration % (DENSIFY_EVERY * REFRESH) == 0:
+            self.densify()
         self.scene.graph = build_graph(model["position"], model["normal"])
         steps = self.iteration // REFRESH
         if self.parameters.occlusion and self.iteration >= OCCLUSION_FROM and steps % OCCLUSION_EVERY == 0:
             self.trace()
+
+    def densify(self) -> None:
+        """Remove what does not show, then add where the images pull hardest, up to the bound; the count ends up bounded."""
+        p, model = self.parameters, self.scene.model
+        done = self.iteration / p.iterations
+        if p.densify and done <= DENSIFY_UNTIL:
+            rows = kept_rows(torch.sigmoid(model["opacity"].detach()), self.activity)
+            if len(rows) < len(model) and len(rows) > len(model) // 2:
+                keep(model, self.adam, rows)
+                self.activity = Activity(*(getattr(self.activity, name)[rows] for name in ("gradient", "drawn", "weight")))
+                self.scene.graph = build_graph(model["position"], model["normal"])
+            assert self.scene.graph is not None
+            split_edges(model, self.adam, edges_to_split(self.scene.graph, self.activity, p.max_splats - len(model)))
+        self.activity = Activity.empty(len(model), model["position"].device)
 
     @torch.no_grad()
     def trace(self) -> None:
@@ -165,11 +188,16 @@ class Trainer:
         if self.iteration % REFRESH == 0 or self.scene.graph is None:
             self.refresh()
         phase = self.phase(self.iteration)
+        if self.scene.bank is not None and self.iteration in ANGLE_STEPS:
+            for name, (angle, _, _) in self.estimate_angles(phase.level).items():
+                self.scene.bank.set_angle(name, angle)
         view = self.view_at(self.iteration, phase)
         rendered = self.render(view, phase.level)
         terms = self.loss_terms(view, rendered)
         total = torch.stack(list(terms.values())).sum()
         total.backward()
+        raster = rendered.gbuffer.raster
+        self.activity.add(rendered.gbuffer.rows, raster.screen_gradient, raster.visible)
         self.adam.step(self.tensors(), phase.rates, self.scene.graph, phase.diffusion)
         self.iteration += 1
         values = {name: float(value.detach()) for name, value in terms.items() if name != "surface"}
@@ -267,8 +295,16 @@ class Trainer:
     def state(self) -> dict[str, Any]:
         """Everything the next step depends on. Call it at a REFRESH boundary: graph and occlusion are rebuilt there."""
         tensors = {name: t.detach().clone() for name, t in self.tensors().items()}
-        std = self.scene.bank.std_deg if self.scene.bank is not None else []
-        return {"iteration": self.iteration, "tensors": tensors, "adam": self.adam.state(), "std_deg": list(std)}
+        bank = self.scene.bank
+        std, settled = (bank.std_deg, list(bank.settled)) if bank is not None else ([], [])
+        return {
+            "iteration": self.iteration,
+            "tensors": tensors,
+            "adam": self.adam.state(),
+            "std_deg": list(std),
+            "settled": settled,
+            "activity": vars(self.activity),
+        }
 
     def load(self, state: dict[str, Any]) -> None:
         """Continue from a saved state."""
@@ -278,7 +314,9 @@ class Trainer:
             if self.scene.bank is not None:
                 self.scene.bank.angles.copy_(tensors.pop("angles"))
                 self.scene.bank.std_deg = list(state["std_deg"])
+                self.scene.bank.settled = list(state["settled"])
         self.scene.model = SplatModel(tensors)
         self.adam.load(state["adam"])
+        self.activity = Activity(**state["activity"])
         self.iteration = state["iteration"]
         self.scene.graph = None

@@ -1,0 +1,142 @@
+"""Training end to end on an analytic ellipsoid: it learns, resumes exactly, and does not care about units or axes."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from pipeline.capture.model import PolariserPrior
+from stages.train import checkpoint
+from stages.train.parameters import TrainParameters
+from stages.train.setup import prepare_training
+from stages.train.trainer import REFRESH, Trainer
+
+from .conftest import AXES, IOR, moved
+
+SMALL = TrainParameters(iterations=300, max_splats=1200, hull_resolution=40, environment_resolution=16, occlusion=False)
+
+
+def trainer_of(sources, parameters=SMALL, mode="stokes", priors=None):
+    torch.set_num_threads(1)
+    start = prepare_training(sources, mode, priors or {}, "y", parameters, "cpu")
+    return Trainer(start.scene, start.pyramids, mode, start.frame, parameters, "cpu")
+
+
+def trained(sources, steps, **more):
+    trainer = trainer_of(sources, **more)
+    for _ in range(steps):
+        trainer.step()
+    return trainer
+
+
+def normal_error(trainer) -> float:
+    """Mean angle (degrees) between splat normals and the ellipsoid's at the same place."""
+    splats = trainer.scene.model.activated()
+    frame = trainer.frame
+    points = frame.points_to_world(splats.means.detach().numpy().astype(float))
+    normals = frame.directions_to_world(splats.normals.detach().numpy().astype(float))
+    truth = points / AXES**2
+    truth /= np.linalg.norm(truth, axis=-1, keepdims=True)
+    return float(np.degrees(np.arccos(np.clip((truth * normals).sum(-1), -1, 1))).mean())
+
+
+@pytest.mark.slow
+def test_training_improves_images_and_normals(make_sources):
+    trainer = trainer_of(make_sources(48, 20))
+    before = trainer.validate()
+    for _ in range(300):
+        trainer.step()
+    assert trainer.validate() > before + 8
+    assert trainer.validate() > 28
+    assert normal_error(trainer) < 3.5
+
+
+@pytest.mark.slow
+def test_a_resumed_run_is_the_same_run(make_sources, tmp_path):
+    sources = make_sources(32, 12)
+    straight = trained(sources, 2 * REFRESH + 30)
+    first = trained(sources, 2 * REFRESH)
+    checkpoint.save(tmp_path, {"trainer": first.state()})
+    resumed = trainer_of(sources)
+    resumed.load(checkpoint.load(tmp_path)["trainer"])
+    for _ in range(30):
+        resumed.step()
+    for name, value in straight.tensors().items():
+        assert torch.equal(value, resumed.tensors()[name]), name
+
+
+def test_a_broken_checkpoint_is_as_none(tmp_path):
+    assert checkpoint.load(tmp_path) is None
+    (tmp_path / checkpoint.NAME).write_bytes(b"half a fi")
+    assert checkpoint.load(tmp_path) is None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scale", [1e-3, 1e4])
+def test_units_and_axes_do_not_matter(make_sources, scale):
+    sources = make_sources(40, 16, roll=0.3)
+    turn = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))[0]
+    turn *= np.sign(np.linalg.det(turn))
+    there = moved(sources, scale, turn, scale * np.array([30.0, -20.0, 10.0]))
+    here = trained(sources, 200).validate()
+    assert trained(there, 200).validate() == pytest.approx(here, abs=1.0)
+
+
+@pytest.mark.slow
+def test_a_sun_of_1e5_beside_a_dim_sky_trains(make_sources):
+    trainer = trained(make_sources(40, 16, sun=1e5), 150)
+    for name, value in trainer.tensors().items():
+        assert torch.isfinite(value).all(), name
+    assert math.isfinite(trainer.validate())
+
+
+@pytest.mark.slow
+def test_two_unknown_polarisers_are_found(make_sources):
+    angles = {"a": 27.0, "b": 115.0}
+    behind = []
+    for k, s in enumerate(make_sources(48, 24, sun=60.0)):
+        name = "ab"[k % 2]
+        t = math.radians(2 * angles[name])
+        image = 0.5 * (s.image[:, :, 0] + math.cos(t) * s.image[:, :, 1] + math.sin(t) * s.image[:, :, 2])
+        behind.append(replace(s, camera=replace(s.camera, name=name), image=image[:, :, None]))
+    parameters = replace(SMALL, iterations=800)
+    trainer = trained(behind, 800, parameters=parameters, mode="polarisers", priors={"a": PolariserPrior(), "b": PolariserPrior()})
+    assert trainer.scene.bank is not None
+    for name, state in trainer.scene.bank.result().items():
+        assert abs((state.angle_deg - angles[name] + 90) % 180 - 90) < 6, (name, state)
+    assert abs(float(trainer.scene.model.activated().ior.mean()) - IOR) < 0.3
+
+
+def test_test_views_are_never_trained_on(make_sources):
+    sources = make_sources(32, 16)
+    poisoned = [replace(s, image=s.image * np.nan, mask=s.mask * 0) if s.split == "test" else s for s in sources]
+    trainer = trainer_of(poisoned)
+    names = {trainer.view_at(k, trainer.phase(k)).name for k in range(40)}
+    assert not names & {s.name for s in sources if s.split == "test"}
+    assert not any(v.split == "test" for level in trainer.pyramids for v in level)
+
+
+@pytest.mark.slow
+def test_saturated_pixels_count_for_nothing(make_sources):
+    sources = make_sources(32, 12)
+    damaged = []
+    for s in sources:
+        image, valid = s.image.copy(), s.valid.copy()
+        image[14:18, 14:18], valid[14:18, 14:18] = 50.0, False
+        damaged.append(replace(s, image=image, valid=valid))
+    trainer = trainer_of(damaged)
+    clean = trainer_of(sources)
+    assert trainer.frame.exposure == pytest.approx(clean.frame.exposure, rel=0.1)
+    for view in trainer.pyramids[0]:
+        assert float(view.target.max()) < 50.0 * trainer.frame.exposure
+
+
+@pytest.mark.slow
+def test_the_splat_count_stays_bounded(make_sources):
+    parameters = replace(SMALL, iterations=500)
+    trainer = trained(make_sources(40, 16), 420, parameters=parameters)
+    assert 0.5 * parameters.max_splats < len(trainer.scene.model) <= parameters.max_splats
