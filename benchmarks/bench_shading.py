@@ -15,6 +15,7 @@ import json
 import os
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +30,14 @@ from pipeline.lighting.occluder import Occluder
 from pipeline.lighting.visibility import Transfer
 from pipeline.optics import microfacet, sphere, stokes
 
-CASES = (("ggx", "schlick"), ("ggx", "exact"), ("beckmann", "exact"))
+CASES = (
+    ("ggx", "schlick", "split"), ("ggx", "exact", "split"), ("ggx", "exact", "lobe-24"),
+    ("beckmann", "exact", "split"), ("beckmann", "exact", "lobe-4"), ("beckmann", "exact", "lobe-24"),
+)  # fmt: skip
+
+
+# The paper's GridMap is measured once, beside this case.
+GRIDMAP_CASE = {"fresnel": "exact", "mirror": "split"}
 
 
 def median_ms(call: Callable[[], object], repeats: int = 30) -> float:
@@ -81,7 +89,11 @@ def speed(points: int = 10_000) -> dict:
         light = prefilter.apply(radiance.detach())
         leaf = LightField(light.packed.detach().requires_grad_(), light.roughnesses, light.specular, light.cosine,
                           light.transmitted, light.lobe)  # fmt: skip
-        functions = {"fused": shade, "plain": shading.plain} if resolution == 32 else {"fused": shade}
+        functions: dict[str, Callable] = {"fused split": shade}
+        if resolution == 32:
+            functions["plain split"] = shading.plain
+            for mirror in ("lobe-4", "lobe-12", "lobe-24"):
+                functions[f"fused {mirror}"] = partial(shade, mirror=mirror)
         for name, function in functions.items():
             call = lambda f=function, l=leaf: f(*free, x, torch.linalg.cross(x, -view), l)  # noqa: E731
             forward = median_ms(call)
@@ -159,9 +171,12 @@ def capture_errors(folder: Path, step: int = 4, resolution: int = 64) -> dict:
     mesh = _mesh(folder / "gt/mesh.ply")
     truth = np.concatenate([v["truth"] for v in views])
     out = {}
-    for lobe, fresnel in CASES:
+    for lobe, fresnel, mirror in CASES:
         light = Prefilter(resolution, lobe).apply(texels)
-        for name, occluded in _occluders(mesh, texels, light, known or [0.5] * 3, lobe, material["ior"]).items():
+        how = {"fresnel": fresnel, "mirror": mirror}
+        for name, occluded in _occluders(
+            mesh, texels, light, known or [0.5] * 3, lobe, material["ior"], grid=lobe == "beckmann" and how == GRIDMAP_CASE
+        ).items():
             start, got = time.perf_counter(), []
             for v in views:
                 count = len(v["normal"])
@@ -171,13 +186,13 @@ def capture_errors(folder: Path, step: int = 4, resolution: int = 64) -> dict:
                 occlusion = occluded(v, roughness)
                 albedo = tensor(np.broadcast_to(known if known else 1.0, (count, 3)))
                 if not known:  # s0 = albedo x body + mirror
-                    unit = shade(*shared, albedo, *rest, fresnel=fresnel, occlusion=occlusion)
+                    unit = shade(*shared, albedo, *rest, **how, occlusion=occlusion)
                     body = (tensor(v["truth"])[:, 0] - unit.specular) / unit.diffuse.clamp_min(1e-6)
                     albedo = body.clamp(0, 1)
-                got.append(shade(*shared, albedo, *rest, fresnel=fresnel, occlusion=occlusion).stokes.numpy())
+                got.append(shade(*shared, albedo, *rest, **how, occlusion=occlusion).stokes.numpy())
             seconds = (time.perf_counter() - start) / len(views)
             errors = image_errors(np.concatenate(got), truth)
-            out[f"{lobe} {fresnel} {name}"] = {**errors, "ms_per_view": 1e3 * seconds}
+            out[f"{lobe} {fresnel} {mirror} {name}"] = {**errors, "ms_per_view": 1e3 * seconds}
     return out
 
 
@@ -189,7 +204,7 @@ def _mesh(path: Path) -> Occluder:
 
 
 def _occluders(
-    mesh: Occluder, texels: torch.Tensor, light: LightField, albedo: list[float], lobe: str, ior: float
+    mesh: Occluder, texels: torch.Tensor, light: LightField, albedo: list[float], lobe: str, ior: float, grid: bool
 ) -> dict[str, Callable[[dict, np.ndarray], Occlusion | None]]:
     colour = np.broadcast_to(albedo, mesh.vertices.shape)
     transfer = Transfer(mesh, colour, ior=ior)
@@ -200,11 +215,11 @@ def _occluders(
             transfer.attach(v["points"], v["normal"], v["view"], r, lobe=lobe), surface
         ),
     }
-    if lobe == "beckmann":
+    if grid:
         for weights in ("inverse-square", "printed"):
-            grid = GridMap(mesh, colour, weights=weights, lobe=lobe)
-            local = grid.light(texels, light)
-            out[f"GridMap {weights}"] = lambda v, r, g=grid, l=local: g.occlusion(
+            anchors = GridMap(mesh, colour, weights=weights, lobe=lobe)
+            local = anchors.light(texels, light)
+            out[f"GridMap {weights}"] = lambda v, r, g=anchors, l=local: g.occlusion(
                 tensor(v["points"]), tensor(v["normal"]), tensor(v["view"]), tensor(r), l
             )
     return out

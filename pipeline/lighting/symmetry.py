@@ -190,7 +190,7 @@ class SymmetricMap:
 
 def torch_csr(matrix: csr_matrix) -> torch.Tensor:
     """The same sparse matrix in torch."""
-    arrays = [torch.as_tensor(a) for a in (matrix.indptr.astype(np.int64), matrix.indices.astype(np.int64), matrix.data)]
+    arrays = [torch.as_tensor(a) for a in (matrix.indptr.astype(np.int32), matrix.indices.astype(np.int32), matrix.data)]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # torch calls CSR beta; the arrays are scipy's, and valid
         return torch.sparse_csr_tensor(arrays[0], arrays[1], arrays[2], size=matrix.shape)
