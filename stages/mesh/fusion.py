@@ -85,11 +85,11 @@ class Volume:
         state = (self._points, self._distance, self._weight)
         kernels.integrate(*state, *images, *pose, *pinhole, self.truncation, grazing, FREE_WEIGHT)
 
-    def extract(self) -> Any:
-        """The zero crossing as an Open3D tensor mesh (possibly empty)."""
+    def extract(self, outward: float = 0.0) -> Any:
+        """The surface at a distance `outward` from the zero crossing, as an Open3D tensor mesh (possibly empty)."""
         import open3d as o3d
 
-        for name, values in (("tsdf", self._distance), ("weight", self._weight)):
+        for name, values in (("tsdf", self._distance - np.float32(outward / self.truncation)), ("weight", self._weight)):
             field = self._grid.attribute(name).reshape((-1, 1))
             field[o3d.core.Tensor(self._flat)] = o3d.core.Tensor(values[:, None])
         return self._grid.extract_triangle_mesh(weight_threshold=LEAST_WEIGHT)

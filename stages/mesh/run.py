@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from pipeline.cameras import load_cameras
 from pipeline.errors import UserError
 from pipeline.stage import StageRun
@@ -10,7 +12,11 @@ from .attributes import bake, vertex_table
 from .clean import Mesh, fill_holes, in_fixed_order, keep_faces, largest_pieces, without_slivers
 from .fusion import Extent, Volume, measure
 from .gbuffer import DepthView, read_views
+from .outline import outline_gap
 from .ply import write_ply
+
+ROUNDS = 2  # of matching outlines: the second corrects the first by a few percent of it
+MOST_OUTWARD = 0.5  # of the truncation, where the field is still a distance
 
 
 def make_mesh(run: StageRun) -> None:
@@ -19,15 +25,16 @@ def make_mesh(run: StageRun) -> None:
     views = read_views(run.inputs["train"] / "gbuffer", load_cameras(run.inputs["poses"] / "cameras.json"))
     extent = measure(views.values())
     voxel = max(p.voxel_px * extent.footprint, extent.size / p.max_voxels)
-    mesh = _surface(run, list(views.values()), extent, voxel)
+    mesh, outward = _surface(run, list(views.values()), extent, voxel)
     holes = 0
     if p.fill_holes:
         mesh, holes = fill_holes(mesh)
     mesh = in_fixed_order(without_slivers(mesh))
-    mesh, seen = bake(mesh, views.values(), 2 * voxel)
+    mesh, seen = bake(mesh, views.values(), 2 * voxel + abs(outward))
     write_ply(run.output / "mesh.ply", *vertex_table(mesh), mesh.faces)
     run.note("size", extent.size)
     run.note("voxel", voxel)
+    run.note("outward", outward)
     run.note("triangles", len(mesh.faces))
     run.note("vertices_seen", seen)
     run.note("holes_filled", holes)
@@ -35,7 +42,8 @@ def make_mesh(run: StageRun) -> None:
         _write_poisson(run, mesh, list(views.values()), voxel)
 
 
-def _surface(run: StageRun, views: list[DepthView], extent: Extent, voxel: float) -> Mesh:
+def _surface(run: StageRun, views: list[DepthView], extent: Extent, voxel: float) -> tuple[Mesh, float]:
+    """The cleaned surface, and how far outward of the fused depths it lies."""
     p = run.parameters
     truncation = p.truncation_voxels * voxel
     volume = Volume(views, extent, voxel, truncation)
@@ -43,12 +51,19 @@ def _surface(run: StageRun, views: list[DepthView], extent: Extent, voxel: float
         for view in views:
             volume.integrate(view, p.grazing)
             bar.advance(1)
-    mesh = without_slivers(Mesh.from_open3d(volume.extract()))
-    mesh = largest_pieces(mesh, p.component_pct / 100)
+
+    def pieces(outward: float) -> Mesh:
+        return largest_pieces(without_slivers(Mesh.from_open3d(volume.extract(outward))), p.component_pct / 100)
+
+    mesh = pieces(0.0)
+    outward, limit = 0.0, MOST_OUTWARD * truncation
+    for _ in range(ROUNDS if p.match_outlines and len(mesh.faces) else 0):
+        outward = float(np.clip(outward + outline_gap(mesh, views), -limit, limit))
+        mesh = pieces(outward)
     if not len(mesh.faces):
         folder = run.inputs["train"] / "gbuffer"
         raise UserError(folder, "the depth images hold no surface", "look at the train stage's pictures: did it train?")
-    return mesh
+    return mesh, outward
 
 
 def _write_poisson(run: StageRun, mesh: Mesh, views: list[DepthView], voxel: float) -> None:

@@ -18,6 +18,9 @@ class MeshParameters:
     max_voxels: int = field(default=320, metadata={"help": "voxels along the object's longest side at most (count)"})
     truncation_voxels: float = field(default=6.0, metadata={"help": "truncation distance (voxels)"})
     grazing: float = field(default=0.15, metadata={"help": "least cosine between ray and normal of a depth that counts"})
+    match_outlines: bool = field(
+        default=True, metadata={"help": "shift the surface along its normal until outlines agree with the opacity images"}
+    )
     component_pct: float = field(default=2.0, metadata={"help": "smaller pieces than this go (percent of the largest's area)"})
     fill_holes: bool = field(default=True, metadata={"help": "close holes that no view sees into (such as the underside)"})
     poisson: bool = field(default=False, metadata={"help": "also write mesh_poisson.ply, a closed surface"})

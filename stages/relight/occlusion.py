@@ -57,6 +57,8 @@ class SelfOcclusion:
         attachment = self._attached.get(name)
         if attachment is None:
             points, normals, view = (np.asarray(v @ self._turn.T) for v in (surface.position, surface.normal, surface.view))
+            near = self._transfer.occluder.nearest(points)  # blended depths lie a little inside the mesh: rays start on it
+            points = np.einsum("pk,pkc->pc", near.weights, self._transfer.occluder.vertices[near.vertices])
             attachment = self._transfer.attach(points, normals, view, surface.material[:, 3], lobe=self._lobe)
             self._attached[name] = attachment
         return self._transfer.occlusion(attachment, light)

@@ -13,6 +13,7 @@ from pipeline.stage import StageRun
 from stages.mesh.attributes import bake, vertex_table
 from stages.mesh.clean import Mesh, boundary_loops, fill_holes, in_fixed_order, largest_pieces, without_slivers
 from stages.mesh.fusion import Volume, measure
+from stages.mesh.outline import outline_gap, outline_length
 from stages.mesh.ply import write_ply
 from stages.mesh.stage import MeshParameters
 
@@ -157,6 +158,31 @@ def test_stage_writes_tsdf_and_poisson_meshes(sphere_views, run_stage):
     assert (run.output / "mesh.ply").exists()
     assert (run.output / "mesh_poisson.ply").exists()
     assert run.facts["size"] == pytest.approx(2.0, rel=0.03)
+
+
+def test_outlines_pull_a_shrunken_surface_back(sphere_views):
+    views = sphere_views(1.0, size=96)
+    shrunk = [type(v)(v.camera, np.where(v.depth > 0, v.depth + 0.03, 0).astype(np.float32), *vars_of(v)) for v in views]
+    extent = measure(shrunk)
+    volume = Volume(shrunk, extent, 1.2 * extent.footprint, 7 * extent.footprint)
+    for view in shrunk:
+        volume.integrate(view, 0.15)
+    before = Mesh.from_open3d(volume.extract())
+    gap = outline_gap(before, shrunk)
+    after = Mesh.from_open3d(volume.extract(gap))
+    radius = [np.median(np.linalg.norm(m.vertices, axis=1)) for m in (before, after)]
+    assert radius[0] < 0.985
+    assert abs(radius[1] - 1) < 0.4 * abs(radius[0] - 1)
+
+
+def vars_of(view):
+    return view.normal, view.material, view.alpha
+
+
+def test_outline_length_of_a_disc():
+    y, x = np.mgrid[:200, :200]
+    disc = np.hypot(x - 100, y - 100) < 70
+    assert outline_length(disc) == pytest.approx(2 * np.pi * 70, rel=0.02)
 
 
 def test_empty_depth_is_a_user_error(sphere_views, run_stage):
