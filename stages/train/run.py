@@ -19,6 +19,7 @@ import torch
 from pipeline.progress import Bar
 
 from . import checkpoint, export
+from .angle_search import search_angles
 from .data import SourceView, View, load_sources, prepare
 from .parameters import TrainParameters
 from .setup import Start, prepare_training
@@ -49,6 +50,7 @@ def train(stage: StageRun) -> None:
     inputs = stage.inputs
     sources, mode = load_sources(inputs["decode"], inputs["poses"], inputs.get("masks"), parameters.polarisation)
     start = prepare_training(sources, mode, stage.capture.polarisers, stage.capture.up, parameters, stage.device)
+    find_polarisers(start, sources, stage)
     backend = "cuda" if stage.device.startswith("cuda") else "cpu"
     trainer = Trainer(start.scene, start.pyramids, mode, start.frame, parameters, backend)
     history = optimise(trainer, stage, started)
@@ -60,6 +62,18 @@ def train(stage: StageRun) -> None:
     stage.note("splats", len(trainer.scene.model))
     stage.note("iterations", trainer.iteration)
     checkpoint.clear(stage.scratch)
+
+
+def find_polarisers(start: Start, sources: list[SourceView], stage: StageRun) -> None:
+    """Start values for polariser angles of which nothing is known (a resumed run has them already)."""
+    bank = start.scene.bank
+    if bank is None or checkpoint.load(stage.scratch) is not None:
+        return
+    unknown = [name for name, settled in zip(bank.names, bank.settled) if not settled]
+    if unknown:
+        priors, up = stage.capture.polarisers, stage.capture.up
+        for name, angle in search_angles(sources, priors, unknown, up, stage.parameters, stage.progress).items():
+            bank.set_angle(name, float(np.radians(angle)))
 
 
 def optimise(trainer: Trainer, stage: StageRun, started: float) -> History:

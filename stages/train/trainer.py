@@ -32,7 +32,7 @@ OCCLUSION_FROM = 200  # steps before the first tracing: the light and the albedo
 OCCLUSION_EVERY = 2  # refreshes between tracings
 DENSIFY_EVERY = 2  # refreshes between looks at what shows and what pulls: more than one epoch of 36 views
 DENSIFY_UNTIL = 0.6  # share of the run after which the splats stay as they are
-ANGLE_STEPS = (200, 300, 500)  # steps at which unknown polariser angles are solved for outright; descent does the rest
+ANGLE_STEPS = (200, 300)  # steps at which unknown polariser angles are solved for outright; descent does the rest
 POLARISATION_SCALE = 1.0  # L_pol in encoded units weighs as much as L_rgb: both then count display steps
 
 GROUPS = {
@@ -46,7 +46,7 @@ GROUPS = {
     "roughness": Group(1e-2),
     "ior": Group(1e-2),
     "environment": Group(4e-2),
-    "angles": Group(4e-3),
+    "angles": Group(2e-2),
 }
 
 
@@ -188,7 +188,7 @@ class Trainer:
         if self.iteration % REFRESH == 0 or self.scene.graph is None:
             self.refresh()
         phase = self.phase(self.iteration)
-        if self.scene.bank is not None and self.iteration in ANGLE_STEPS:
+        if self.scene.bank is not None and self.iteration in ANGLE_STEPS and phase.level == 0:
             for name, (angle, _, _) in self.estimate_angles(phase.level).items():
                 self.scene.bank.set_angle(name, angle)
         view = self.view_at(self.iteration, phase)
@@ -283,8 +283,13 @@ class Trainer:
             if view.split == "test":
                 continue
             stokes = self.render(view, level, light).stokes
-            slope = losses.encode_slope(2 * view.target[:, 0].mean(-1, keepdim=True))
-            weight = slope**2 * view.colour_weight[:, None]
+            # Weights of iteratively reweighted least squares: the fit then minimises what training minimises, and the
+            # few pixels that the model cannot explain do not turn the angle.
+            measured = 2 * view.target[:, 0]
+            slope = losses.encode_slope(measured)
+            residual = slope * (measured - bank.intensity(stokes, view.camera.name))
+            robust = torch.rsqrt(residual**2 + losses.CHARBONNIER**2)
+            weight = slope**2 * robust * (view.colour_weight * view.inside)[:, None]
             sums[view.camera.name].add(stokes, 2 * view.target[:, 0], weight)
         out = {}
         for k, name in enumerate(bank.names):
