@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 
@@ -29,6 +30,22 @@ def test_bits_repeat_whatever_the_number_of_threads(scene_named, monkeypatch, co
     first = everything(scene)
     monkeypatch.setattr(threads, "thread_count", lambda: count)
     for one, other in zip(first, everything(scene)):
+        assert torch.equal(one, other)
+
+
+@pytest.mark.parametrize("name", ["plain", "exactly edge-on", "behind", "opaque"])
+def test_no_array_is_read_before_it_is_written(scene_named, monkeypatch, name) -> None:
+    """The kernels' arrays start uninitialised: filled with NaN beforehand, nothing changes."""
+    first = everything(scene_named(name))
+    empty = np.empty
+
+    def poisoned(shape, dtype=float, **options):
+        array = empty(shape, dtype, **options)
+        array.fill(np.nan if array.dtype.kind == "f" else 99)
+        return array
+
+    monkeypatch.setattr(np, "empty", poisoned)
+    for one, other in zip(first, everything(scene_named(name))):
         assert torch.equal(one, other)
 
 

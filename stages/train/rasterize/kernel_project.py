@@ -147,7 +147,9 @@ def project(
             flat = abs(facing) < MIN_COSINE * math.sqrt(X * X + Y * Y + _f(1))
             r2 = min(CUTOFF_RHO, _f(2) * math.log(min(opacity, _f(1)) / ALPHA_MIN))
             left = right = top = bottom = _f(0)
-            if not flat:
+            if flat:
+                g[UX] = g[UY] = g[VX] = g[VY] = g[QX] = g[QY] = ZERO
+            else:
                 a = z / (su * facing)
                 b = z / (sv * facing)
                 g[UX], g[UY] = a * (tvy - tvz * Y) / fx, a * (tvz * X - tvx) / fy
