@@ -94,8 +94,9 @@ def read_stokes(path: str | Path) -> np.ndarray:
 
 def write_stokes(path: str | Path, stokes: np.ndarray, half: bool = False) -> None:
     """Write a Stokes image [H, W, 3 (s0 s1 s2), 3 (R G B)] with channels S0.R .. S2.B."""
-    flat = np.asarray(stokes, np.float32).reshape(*stokes.shape[:2], 9)
-    write_exr(path, {name: flat[..., i] for i, name in enumerate(STOKES)}, half=half)
+    flat = np.ascontiguousarray(stokes, np.float32).reshape(*stokes.shape[:2], 9)
+    half = half and _fits_half(flat)
+    _write(Path(path), flat, "half" if half else "float", list(STOKES), {"compression": "zip"})
 
 
 def write_exr(path: str | Path, channels: Mapping[str, np.ndarray], half: bool = False) -> None:
@@ -105,9 +106,12 @@ def write_exr(path: str | Path, channels: Mapping[str, np.ndarray], half: bool =
     """
     names = list(channels)
     pixels = np.ascontiguousarray(np.stack([np.asarray(channels[n], np.float32) for n in names], -1))
-    if half and pixels.size and np.abs(pixels).max() > HALF_MAX:
-        half = False
+    half = half and _fits_half(pixels)
     _write(Path(path), pixels, "half" if half else "float", names, {"compression": "zip"})
+
+
+def _fits_half(pixels: np.ndarray) -> bool:
+    return not pixels.size or (float(pixels.max()) <= HALF_MAX and float(pixels.min()) >= -HALF_MAX)
 
 
 def write_rgb(path: str | Path, rgb: np.ndarray) -> None:

@@ -96,9 +96,12 @@ def read_linear(path: Path, radiometry: RadiometryConfig, sensor_data: bool = Fa
         white = (radiometry.white_level if radiometry.white_level is not None else full) / full
         black = (radiometry.black_level or 0.0) / full
         limit = white * (radiometry.saturation or (1.0 if encoding == "srgb" else DEFAULT_SATURATION))
-        saturated = np.any(pixels[..., colour] >= limit, axis=-1)
+        for i in colour:  # a plane at a time: reductions over a short last axis are slow
+            saturated |= pixels[..., i] >= np.float32(limit)
         if (black, white) != (0.0, 1.0):
-            pixels[..., colour] = (pixels[..., colour] - np.float32(black)) / np.float32(white - black)
+            for i in colour:
+                pixels[..., i] -= np.float32(black)
+                pixels[..., i] *= np.float32(1 / (white - black))
     elif radiometry.black_level:
         pixels[..., colour] -= np.float32(radiometry.black_level)
     if encoding == "srgb" and path.suffix.lower() not in FLOAT_SUFFIXES:
@@ -154,14 +157,16 @@ def fill_holes(image: NDArray[np.float32]) -> NDArray[np.bool_] | None:
 
     Returns where they were [H, W], or None if there were none.
     """
-    # A float64 sum of float32 values cannot overflow: it is finite exactly when every element is.
-    if np.isfinite(image.sum(dtype=np.float64)):
+    # A finite sum has finite terms; one that is not may only have overflowed, which the exact test below tells.
+    if np.isfinite(image.sum()):
         return None
     flat = image.reshape(*image.shape[:2], -1)
     holes: NDArray[np.bool_] = np.any(~np.isfinite(flat), axis=-1)
     if holes.all():
         flat[:] = 0
         return holes
+    if not holes.any():
+        return None
     from scipy.ndimage import distance_transform_edt
 
     row, column = distance_transform_edt(holes, return_distances=False, return_indices=True)

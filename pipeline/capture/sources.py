@@ -146,10 +146,13 @@ def _stack_loader(group: Group, config: CaptureConfig, camera: str) -> Callable[
                 have, want = image.pixels.shape[1::-1], first.pixels.shape[1::-1]
                 raise UserError(exposures[0].path, f"is {have[0]}x{have[1]}, its stack {want[0]}x{want[1]}", "one size a stack")
         samples = np.stack([image.rgb(e[0].path) for e, image in zip(group.angles.values(), images)])
-        holes = ~np.isfinite(samples).all(-1)
-        samples = np.where(np.isfinite(samples), samples, 0) if holes.any() else samples
-        saturated = np.stack([image.saturated for image in images])
-        stokes, lost = solve_stack(samples, design, ~(saturated | holes))
+        spoilt = np.stack([image.saturated for image in images])
+        holes = np.zeros(samples.shape[1:3], bool)
+        if not np.isfinite(samples.sum()):
+            bad = ~np.isfinite(samples).all(-1)
+            samples[bad] = 0
+            spoilt, holes = spoilt | bad, bad.any(0)
+        stokes, lost = solve_stack(samples, design, ~spoilt if spoilt.any() else None)
         if config.radiometry.white_balance:
             stokes *= np.asarray(config.radiometry.white_balance, np.float32)
         stokes = apply_stokes_config(stokes, config.stokes)
@@ -162,17 +165,22 @@ def _stack_loader(group: Group, config: CaptureConfig, camera: str) -> Callable[
                     "the angles do not fit one Stokes vector along edges: did the camera or the object move between them?"
                 ] = 0
         if holes.any():
-            view.faults["not finite: left out of the fit"] = int(holes.any(0).sum())
+            view.faults["not finite: left out of the fit"] = int(holes.sum())
         return finished(view, group.paths[0], first)
 
     return load
 
 
 def _residuals(samples: NDArray[np.float32], design: NDArray[np.float64]) -> NDArray[np.float32]:
-    """What no Stokes vector explains of samples [n, H, W, C], on every fourth row."""
-    rows = samples[:, ::4].reshape(len(samples), -1)
+    """What no Stokes vector explains of samples [n, H, W, C], on some rows."""
+    some = samples[:, :: row_step(samples)]
     projector = (np.eye(len(design)) - design @ np.linalg.pinv(design)).astype(np.float32)
-    return (projector @ rows).reshape(samples[:, ::4].shape)
+    return (projector @ some.reshape(len(samples), -1)).reshape(some.shape)
+
+
+def row_step(samples: NDArray[np.float32]) -> int:
+    """Rows to step over so that about a hundred thousand pixels are looked at."""
+    return max(4, samples.shape[1] * samples.shape[2] // 100_000)
 
 
 def _stack_noise(samples: NDArray[np.float32], design: NDArray[np.float64]) -> float:
@@ -188,8 +196,8 @@ MOVED = 0.25
 def _movement(samples: NDArray[np.float32], design: NDArray[np.float64]) -> bool:
     """Whether residuals follow edges, as they do where the pictures of a stack do not lie on each other."""
     residual = np.abs(_residuals(samples, design)).max(0).mean(-1)
-    grey = samples.mean((0, -1))
-    gradient = np.abs(np.gradient(grey, axis=1))[::4]
+    grey = samples[:, :: row_step(samples)].mean((0, -1))
+    gradient = np.abs(np.gradient(grey, axis=1))
     strong = gradient > np.percentile(gradient, 95)
     flat = gradient < np.percentile(gradient, 50)
     if strong.sum() < 50 or not gradient[strong].mean() > 0:

@@ -7,9 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-BLOCK = 1 << 16
-"""Pixels solved at once: the working set stays in the cache."""
-
 
 def polariser_design(angles_deg: Sequence[float], extinction: float | None = None) -> NDArray[np.float64]:
     """Rows of I = row · (s0, s1, s2) for each angle (degrees, counter-clockwise), [n, 3].
@@ -36,13 +33,10 @@ def solve_stack(
     or None if that is nowhere.
     """
     n, height, width, colours = intensities.shape
-    flat = intensities.reshape(n, -1)
-    solver = np.linalg.pinv(design).astype(np.float32)
-    out = np.empty((height * width, 3, colours), np.float32)
-    for start in range(0, height * width, BLOCK):
-        stop = min(start + BLOCK, height * width)
-        solved = solver @ flat[:, start * colours : stop * colours]
-        out[start:stop] = solved.reshape(3, -1, colours).transpose(1, 0, 2)
+    from pipeline.capture.stack_kernel import apply_solver
+
+    samples = np.ascontiguousarray(intensities, np.float32).reshape(n, -1, colours)
+    out = apply_solver(samples, np.linalg.pinv(design).astype(np.float32))
     lost = None
     if usable is not None and not usable.all():
         lost = np.zeros(height * width, bool)
@@ -50,7 +44,6 @@ def solve_stack(
         # Pixels with the same usable angles share one solver: at most 2^n of them.
         patterns = np.packbits(usable.reshape(n, -1)[:, partial], axis=0)
         keys, groups = np.unique(patterns, axis=1, return_inverse=True)
-        samples = flat.reshape(n, -1, colours)
         for index in range(keys.shape[1]):
             pixels = partial[groups.ravel() == index]
             kept = np.unpackbits(keys[:, index])[:n].astype(bool)

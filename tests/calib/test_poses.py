@@ -28,8 +28,10 @@ def same_up_to_similarity(found, truth):
     turn = u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt
     scale = (s * [1, 1, np.linalg.det(u @ vt)]).sum() / ((a - ma) ** 2).sum()
     centres = np.abs(scale * (a - ma) @ turn.T + mb - b).max() / np.linalg.norm(b - mb, axis=-1).mean()
-    angles = [np.degrees(np.arccos(np.clip((np.trace(f.world_to_camera[:3, :3] @ turn.T @ t.world_to_camera[:3, :3].T) - 1) / 2, -1, 1)))
-              for f, t in zip(found, truth)]  # fmt: skip
+    angles = []
+    for f, t in zip(found, truth):
+        between = f.world_to_camera[:3, :3] @ turn.T @ t.world_to_camera[:3, :3].T
+        angles.append(np.degrees(np.arccos(np.clip((np.trace(between) - 1) / 2, -1, 1))))
     return max(angles), centres
 
 

@@ -17,6 +17,7 @@ from pipeline.capture.files import count, some
 from pipeline.errors import UserError
 from pipeline.images import HALF_MAX, write_exr, write_mask, write_png, write_stokes
 from pipeline.stage import StageRun
+from stages.calib.decode.kernels import count_unphysical, make_physical
 from stages.calib.decode.noise import estimate_noise
 from stages.calib.decode.plateau import clip_level
 
@@ -118,29 +119,6 @@ def _saturated(decoded: DecodedView, source: ViewSource) -> NDArray[np.bool_] | 
     return plateau if marked is None else marked | plateau
 
 
-def count_unphysical(stokes: NDArray[np.float32]) -> tuple[int, int]:
-    """Pixels with a negative s0, and with more polarised light than light, in any colour of [H, W, 3, 3]."""
-    s0 = stokes[:, :, 0]
-    polarised = stokes[:, :, 1] ** 2
-    polarised += stokes[:, :, 2] ** 2
-    negative = (s0 < 0).any(-1)
-    return int(negative.sum()), int(((polarised > s0 * s0).any(-1) & ~negative).sum())
-
-
-def make_physical(stokes: NDArray[np.float32]) -> tuple[int, int]:
-    """Solved Stokes vectors onto the cone of possible ones, in place: s0 >= 0, |(s1, s2)| <= s0. Returns both counts."""
-    s0 = stokes[:, :, 0]
-    length = np.hypot(stokes[:, :, 1], stokes[:, :, 2])
-    negative, impossible = s0 < 0, (length > s0) & (s0 >= 0)
-    np.maximum(s0, 0, out=s0)
-    over = (negative | impossible) & (length > 0)
-    if over.any():
-        factor = np.where(over, s0 / np.where(over, length, 1), 1).astype(np.float32)
-        stokes[:, :, 1] *= factor
-        stokes[:, :, 2] *= factor
-    return int(negative.any(-1).sum()), int(impossible.any(-1).sum())
-
-
 def _tell(stage: StageRun, records: dict[str, FrameRecord]) -> None:
     """One line per kind of fault, however many files show it."""
     grouped: dict[str, list[tuple[str, int]]] = defaultdict(list)
@@ -165,7 +143,8 @@ def _tell(stage: StageRun, records: dict[str, FrameRecord]) -> None:
     sizes = {(r.facts["width"], r.facts["height"]) for r in records.values()}
     if len(sizes) > 1:
         stage.warn(
-            f"{stage.capture.root}: images of {len(sizes)} sizes ({some(f'{w}x{h}' for w, h in sorted(sizes))}); each keeps its own camera"
+            f"{stage.capture.root}: images of {len(sizes)} sizes ({some(f'{w}x{h}' for w, h in sorted(sizes))}); "
+            "each keeps its own camera"
         )
     worst = max((r.facts["condition"] or 0.0 for r in records.values()), default=0.0)
     if worst > REFUSE_CONDITION:

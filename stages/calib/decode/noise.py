@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 LAPLACIAN_GAIN = 6.0
 """Standard deviation of the mask [[1, -2, 1], [-2, 4, -2], [1, -2, 1]] on white noise of unit variance (Immerkær 1996)."""
-MAX_ROWS = 512
+MAX_ROWS = 256
 
 
 def estimate_noise(image: NDArray[np.float32]) -> float | None:
@@ -19,7 +19,7 @@ def estimate_noise(image: NDArray[np.float32]) -> float | None:
     if min(image.shape[:2]) < 8:
         return None
     start = max(0, (height - MAX_ROWS) // 2)
-    rows = image[start : start + MAX_ROWS].mean(-1)
+    rows = image[start : start + MAX_ROWS].mean(-1, dtype=np.float32)
     second = rows[:, 2:] - 2 * rows[:, 1:-1] + rows[:, :-2]
     response = np.abs(second[2:] - 2 * second[1:-1] + second[:-2])
     lit = response[response > 0]

@@ -12,15 +12,16 @@ BELOW = 0.97
 
 
 def clip_level(image: NDArray[np.float32]) -> float | None:
-    """The level at which [..] was clipped, or None. A black image is not clipped."""
-    top = float(image.max(initial=0.0))
-    if not top > 0 or not np.isfinite(top):
-        return None
-    at_top = int(np.count_nonzero(image == np.float32(top)))
-    if at_top < MIN_SAMPLES:
-        return None
-    near = int(np.count_nonzero(image >= np.float32(BELOW * top))) - at_top
-    return top if at_top > near else None
+    """The level at which [H, W, ..] was clipped, or None. A black image is not clipped; large ones are sampled by rows."""
+    if image.ndim > 1 and image.size > SAMPLED:
+        image = np.ascontiguousarray(image[:: image.size // SAMPLED + 1])
+    search = PlateauSearch()
+    search.add(image)
+    return search.level()
+
+
+SAMPLED = 1 << 21
+"""Samples that settle the question; a plateau that they miss is a speck."""
 
 
 class PlateauSearch:
@@ -32,8 +33,9 @@ class PlateauSearch:
     def add(self, image: NDArray[np.float32]) -> None:
         """Remember the top of one frame [..]."""
         top = float(image.max(initial=0.0))
-        at_top = int(np.count_nonzero(image == np.float32(top)))
-        near = int(np.count_nonzero(image >= np.float32(BELOW * top))) - at_top
+        high = image[image >= np.float32(BELOW * top)]
+        at_top = int(np.count_nonzero(high == np.float32(top)))
+        near = high.size - at_top
         self.tops.append((top, at_top, near))
 
     def level(self) -> float | None:

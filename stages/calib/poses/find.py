@@ -77,9 +77,7 @@ def triangulate(stage: StageRun) -> None:
     session.match()
     points, colours = session.triangulate(cameras)
     if len(points) < MIN_FEATURES:
-        stage.warn(
-            f"{stage.capture.root}: only {len(points)} points agree with the given cameras: are they world-to-camera, OpenCV, in pixels?"
-        )
+        stage.warn(f"{stage.capture.root}: only {len(points)} points agree with the given cameras: axes, direction, pixels?")
     stage.note("points", len(points))
     if len(points):
         write_sparse(stage.output / "sparse", cameras, points, colours)
@@ -194,7 +192,8 @@ class Session:
         if len(models) > 1:
             sizes = sorted((m.num_reg_images() for m in models.values()), reverse=True)
             self.stage.warn(
-                f"{self.stage.capture.root}: the views fall into {len(models)} parts of {sizes}; the largest is used. Try {ADVICE}"
+                f"{self.stage.capture.root}: the views fall into {len(models)} parts of {sizes}; "
+                f"the largest is kept. Try {ADVICE}"
             )
         return self.with_rig(best)
 

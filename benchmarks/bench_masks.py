@@ -1,0 +1,115 @@
+"""Masks: IoU with the truth against run time, for every method on captures whose masks are known.
+
+usage: python benchmarks/bench_masks.py [--captures DIR] [--out benchmarks/results]
+
+Captures: DIR/homer-messy (forest behind the object) is segmented as it is; DIR/teapot-lebombo and DIR/spot-venice get
+a background first: a photograph-like environment map of their own, seen along each pixel's ray behind the true mask.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from pipeline.cameras import Camera
+from pipeline.capture import Capture, open_capture
+from pipeline.images import read_image, read_mask
+from stages.masks.background import segment
+from stages.masks.clean_plate import difference_mask
+from stages.masks.grabcut import grabcut_centre
+
+Scene = tuple[list[np.ndarray], list[np.ndarray], list[np.ndarray], list[Camera]]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--captures", type=Path, default=os.environ.get("POLARFIELD_CAPTURES"), required=False)
+    parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results")
+    options = parser.parse_args()
+    if options.captures is None:
+        parser.error("give --captures or POLARFIELD_CAPTURES")
+    rows = []
+    for name in ("homer-messy", "teapot-lebombo", "spot-venice"):
+        images, truth, plates, cameras = load(Path(options.captures) / name)
+        methods: dict[str, Callable[[], list[np.ndarray] | None]] = {
+            "all views together": lambda i=images, c=cameras: segment(i, c, {}, 480),
+            "all views, half size": lambda i=images, c=cameras: segment(i, c, {}, max(i[0].shape) // 2),
+            "GrabCut, each view": lambda i=images: [grabcut_centre(image) for image in i],
+        }
+        if plates:
+            methods["clean plate"] = lambda i=images, p=plates: [difference_mask(a, b) for a, b in zip(i, p)]
+        segment(images[:4], cameras[:4], {}, 64)  # compiled before it is timed
+        for method, run in methods.items():
+            start = time.perf_counter()
+            masks = run() or []
+            seconds = time.perf_counter() - start
+            scores = [iou(m, t) for m, t in zip(masks, truth)]
+            row = {"capture": name, "method": method, "iou_mean": float(np.mean(scores)), "iou_min": float(np.min(scores))}
+            rows.append({**row, "s_per_view": seconds / len(images)})
+            print(json.dumps(rows[-1]), flush=True)
+    options.out.mkdir(parents=True, exist_ok=True)
+    (options.out / "masks.json").write_text(json.dumps(rows, indent=1) + "\n")
+    figure(rows, options.out / "masks_error.png")
+
+
+def iou(a: np.ndarray, b: np.ndarray) -> float:
+    return float((a & b).sum() / max(1, (a | b).sum()))
+
+
+def load(root: Path) -> Scene:
+    """(images, true masks, clean plates or none, cameras) of a capture."""
+    capture = open_capture(root)
+    images = [np.maximum(v.read().s0, 0) for v in capture.views]
+    cameras = [capture.cameras[v.view] for v in capture.views]  # type: ignore[index]
+    if not isinstance(capture.masks, dict):
+        return images, [read_mask(root / "gt" / "mask" / f"{v.view}.png") for v in capture.views], [], cameras
+    truth = [read_mask(capture.masks[v.view]) for v in capture.views]
+    rng = np.random.default_rng(0)
+    behind = [background(capture, camera) for camera in cameras]
+    noisy = [b + rng.normal(0, 5e-4, b.shape).astype(np.float32) for b in behind]
+    plates = [np.maximum(b + rng.normal(0, 5e-4, b.shape).astype(np.float32), 0) for b in behind]
+    composed = [np.where(m[..., None], i, b) for i, m, b in zip(images, truth, noisy)]
+    return [np.maximum(c, 0).astype(np.float32) for c in composed], truth, plates, cameras
+
+
+def background(capture: Capture, camera: Camera) -> np.ndarray:
+    """The capture's own environment along every ray, y up, [H, W, 3]."""
+    map_ = read_image(capture.root / "gt" / "env.hdr")[..., :3]
+    x, y, z = np.moveaxis(camera.rays(), -1, 0)
+    column = (np.arctan2(x, -z) / (2 * np.pi) % 1 * map_.shape[1]).astype(int) % map_.shape[1]
+    row = np.minimum((np.arccos(np.clip(y, -1, 1)) / np.pi * map_.shape[0]).astype(int), map_.shape[0] - 1)
+    return map_[row, column]
+
+
+def figure(rows: list[dict], path: Path) -> None:
+    """1 - IoU against seconds a view, one mark a method and capture."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    fig, axes = plt.subplots(figsize=(7, 4.5))
+    captures = sorted({row["capture"] for row in rows})
+    for method in dict.fromkeys(row["method"] for row in rows):
+        for marker, capture in zip("osD^", captures):
+            found = [r for r in rows if r["method"] == method and r["capture"] == capture]
+            for row in found:
+                axes.loglog(row["s_per_view"], max(1e-4, 1 - row["iou_mean"]), marker, label=f"{method}, {capture}")
+    axes.set(xlabel="run time (s per view)", ylabel="1 - mean IoU", title="Mask methods")
+    axes.grid(True, which="both", alpha=0.3)
+    axes.legend(fontsize=6)
+    fig.tight_layout()
+    fig.savefig(path, dpi=120, metadata={"Software": ""})
+
+
+if __name__ == "__main__":
+    main()
