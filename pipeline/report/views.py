@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 from pathlib import Path
 from typing import Any
 
@@ -144,6 +145,12 @@ def relit_cards(run: StageRun) -> list[dict[str, Any]]:
             if path:
                 pics.append(picture(pictures.radiance(read_image(path, S0))[box], f"view {view}", "path traced", longest))
             pics.append(picture(pictures.radiance(image)[box], f"view {view}", "relit model", longest))
+        turntable = folder / "turntable.webp"
+        if turntable.is_file():
+            moving = base64.b64encode(turntable.read_bytes()).decode()
+            pics.append(
+                {"src": f"data:image/webp;base64,{moving}", "title": "turntable", "text": "the mesh with its baked material"}
+            )
         lamp = (
             picture(pictures.radiance(read_image(maps[folder.name], RGB)), folder.name, "the map", 560)
             if folder.name in maps
