@@ -66,9 +66,14 @@ def ours(root: Path) -> dict[str, Any]:
         digest = hashlib.sha256((run.output / "cameras.json").read_bytes()).hexdigest()
         facts = run.facts
     return {
-        "views": facts["views"], "registered": facts["registered"], "reprojection_error_px": facts["mean_reprojection_error_px"],
-        "focal_px": list(facts["focal_px"].values()), "decode_s": seconds["decode"], "poses_s": seconds["poses"], "digest": digest,
-    }  # fmt: skip
+        "views": facts["views"],
+        "registered": facts["registered"],
+        "reprojection_error_px": facts["mean_reprojection_error_px"],
+        "focal_px": list(facts["focal_px"].values()),
+        "decode_s": seconds["decode"],
+        "poses_s": seconds["poses"],
+        "digest": digest,
+    }
 
 
 def plain(root: Path) -> dict[str, Any]:

@@ -31,7 +31,7 @@ class DecodedView:
     saturated [H, W] bool; alpha [H, W] in 0..1 or None; noise: standard deviation of one stored sample (None: unknown);
     design [n, 3]: rows of the polariser matrix that the Stokes vector was solved from (None: the file held Stokes).
     covariance [3, 3] of (s0, s1, s2) for samples of unit variance. faults: what was found wrong, with a pixel count
-    (0 where the fault is the file's, not of pixels).
+    (0 where the fault is the file's, not of pixels). verbatim: an EXR that already holds exactly this, by channel name.
     """
 
     stokes: NDArray[np.float32] | None = None
@@ -42,6 +42,7 @@ class DecodedView:
     design: NDArray[np.float64] | None = None
     covariance: NDArray[np.float64] | None = None
     faults: dict[str, int] = field(default_factory=dict)
+    verbatim: Path | None = None
 
     @property
     def s0(self) -> NDArray[np.float32]:

@@ -17,7 +17,7 @@ from pipeline.capture.grouping import Group, group_files
 from pipeline.capture.model import DecodedView, ViewSource
 from pipeline.capture.pixels import LinearImage
 from pipeline.capture.stack import design_covariance, polariser_design, solve_stack
-from pipeline.capture.stokes_files import finished, holds_stokes, stokes_exr_loader
+from pipeline.capture.stokes_files import finished, holds_stokes, is_verbatim, stokes_exr_loader
 from pipeline.errors import UserError
 from pipeline.images import channel_names, image_size
 
@@ -128,7 +128,10 @@ def _colour_loader(group: Group, config: CaptureConfig) -> Callable[[], DecodedV
         rgb = np.ascontiguousarray(image.rgb(group.paths[0]))
         if config.radiometry.white_balance:
             rgb *= np.asarray(config.radiometry.white_balance, np.float32)
-        return finished(DecodedView(rgb=rgb, saturated=image.saturated, alpha=image.alpha), group.paths[0], image)
+        view = finished(DecodedView(rgb=rgb, saturated=image.saturated, alpha=image.alpha), group.paths[0], image)
+        if len(group.paths) == 1 and is_verbatim(view, image, group.paths[0], ("R", "G", "B"), config):
+            view.verbatim = group.paths[0]
+        return view
 
     return load
 
@@ -139,19 +142,25 @@ def _stack_loader(group: Group, config: CaptureConfig, camera: str) -> Callable[
     design = polariser_design(angles, told.extinction if told else None)
 
     def load() -> DecodedView:
-        images = [read_exposures(exposures, config.radiometry) for exposures in group.angles.values()]
-        first = images[0]
-        for exposures, image in zip(group.angles.values(), images):
-            if image.pixels.shape[:2] != first.pixels.shape[:2]:
-                have, want = image.pixels.shape[1::-1], first.pixels.shape[1::-1]
+        samples = spoilt = first = None
+        for k, exposures in enumerate(group.angles.values()):  # one file at a time: a frame can be large
+            image = read_exposures(exposures, config.radiometry)
+            rgb = image.rgb(exposures[0].path)
+            if samples is None or spoilt is None or first is None:
+                samples, spoilt = np.empty((len(angles), *rgb.shape), np.float32), np.zeros((len(angles), *rgb.shape[:2]), bool)
+                first = image
+            if rgb.shape != samples.shape[1:]:
+                have, want = rgb.shape[1::-1], samples.shape[2:0:-1]
                 raise UserError(exposures[0].path, f"is {have[0]}x{have[1]}, its stack {want[0]}x{want[1]}", "one size a stack")
-        samples = np.stack([image.rgb(e[0].path) for e, image in zip(group.angles.values(), images)])
-        spoilt = np.stack([image.saturated for image in images])
+            samples[k] = rgb
+            spoilt[k] = image.saturated
+        assert samples is not None and spoilt is not None and first is not None
+        first.pixels = samples[0]
         holes = np.zeros(samples.shape[1:3], bool)
         if not np.isfinite(samples.sum()):
-            bad = ~np.isfinite(samples).all(-1)
+            bad: NDArray[np.bool_] = np.any(~np.isfinite(samples), axis=-1)
             samples[bad] = 0
-            spoilt, holes = spoilt | bad, bad.any(0)
+            spoilt, holes = np.logical_or(spoilt, bad), np.any(bad, axis=0)
         stokes, lost = solve_stack(samples, design, ~spoilt if spoilt.any() else None)
         if config.radiometry.white_balance:
             stokes *= np.asarray(config.radiometry.white_balance, np.float32)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.capture.config import CaptureConfig
+from pipeline.capture.config import CaptureConfig, RadiometryConfig, StokesConfig
 from pipeline.capture.frame import apply_stokes_config
 from pipeline.capture.model import DecodedView
 from pipeline.capture.pixels import LinearImage, fill_holes, read_linear
@@ -41,25 +41,23 @@ def stokes_exr_loader(path: Path, config: CaptureConfig) -> Callable[[], Decoded
     def load() -> DecodedView:
         image = read_linear(path, replace(config.radiometry, encoding="linear"))
         stokes = apply_stokes_config(stokes_of(image, path), config.stokes)
-        return finished(DecodedView(stokes=stokes, saturated=image.saturated, alpha=image.alpha), path)
+        view = finished(DecodedView(stokes=stokes, saturated=image.saturated, alpha=image.alpha), path)
+        if config.stokes == StokesConfig() and is_verbatim(view, image, path, STOKES, config):
+            view.verbatim = path
+        return view
 
     return load
 
 
-def rgb_loader(path: Path, config: CaptureConfig, view: str = "") -> Callable[[], DecodedView]:
-    """A loader of one colour image of any format, as linear radiance; divided by its exposure where one is told."""
-
-    def load() -> DecodedView:
-        image = read_linear(path, config.radiometry)
-        rgb = np.ascontiguousarray(image.rgb(path))
-        exposure = config.radiometry.exposure_s.get(view) or config.radiometry.exposure_s.get(path.stem)
-        if exposure:
-            rgb = rgb / np.float32(exposure)
-        if config.radiometry.white_balance:
-            rgb = rgb * np.asarray(config.radiometry.white_balance, np.float32)
-        return finished(DecodedView(rgb=rgb, saturated=image.saturated, alpha=image.alpha), path, image)
-
-    return load
+def is_verbatim(view: DecodedView, image: LinearImage, path: Path, names: tuple[str, ...], config: CaptureConfig) -> bool:
+    """Whether an EXR file already is what decode would write of it: these channels, as they are."""
+    radiometry = replace(config.radiometry, encoding=None, saturation=None)
+    return (
+        path.suffix.lower() == ".exr"
+        and set(names) <= set(image.names)
+        and radiometry == RadiometryConfig()
+        and not view.faults
+    )
 
 
 def finished(view: DecodedView, path: Path, image: LinearImage | None = None) -> DecodedView:

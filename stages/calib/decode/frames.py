@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 from collections import defaultdict
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
@@ -82,6 +83,9 @@ def _decode_one(source: ViewSource, stage: StageRun) -> tuple[str, FrameRecord]:
             record.negative, record.impossible = make_physical(decoded.stokes)
         else:
             record.negative, record.impossible = count_unphysical(decoded.stokes)
+    if decoded.verbatim is not None and stage.parameters.precision == "auto":
+        shutil.copyfile(decoded.verbatim, stage.output / name)
+    elif decoded.stokes is not None:
         write_stokes(stage.output / name, decoded.stokes, half=half)
     else:
         write_exr(stage.output / name, {c: image[..., i] for i, c in enumerate("RGB")}, half=half)

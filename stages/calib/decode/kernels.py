@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 
 @numba.njit(nogil=True, cache=True)
-def _survey(stokes: NDArray[np.float32], mend: bool) -> tuple[int, int, float]:
+def _survey(stokes: NDArray[np.float32], mend: bool) -> tuple[int, int, np.float32]:
     """(pixels with a negative s0, pixels with |(s1, s2)| > s0, largest s0) of [H, W, 3, 3]; `mend` projects both in place."""
     negative, impossible, top = 0, 0, np.float32(0)
     for y in range(stokes.shape[0]):
