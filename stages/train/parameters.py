@@ -37,10 +37,10 @@ class TrainParameters:
     occlusion: bool = _p(True, "trace self-shadowing and one bounce where the object occludes itself")
 
     weight_rgb: float = _p(1.0, "weight of the radiance loss L_rgb (Eq. 10)")
-    weight_polarisation: float = _p(1.0, "weight of the Stokes loss relative to the radiance loss (lambda 1)")
+    weight_polarisation: float = _p(4.0, "weight of the Stokes loss relative to the radiance loss (lambda 1)")
     weight_mask: float = _p(0.4, "weight of the mask loss (lambda 2)")
-    weight_depth_normal: float = _p(0.2, "weight of the agreement of normals with positions (lambda 3)")
-    weight_smooth: float = _p(0.1, "weight of the smoothness of normals, albedo and material (lambda 4)")
+    weight_depth_normal: float = _p(0.02, "weight of the agreement of normals with positions (lambda 3)")
+    weight_smooth: float = _p(0.01, "weight of the smoothness of normals, albedo and material (lambda 4)")
     weight_dssim: float = _p(0.0, "share of DSSIM in the radiance loss (0..1; the papers use 0.2)")
     weight_environment: float = _p(1.0, "weight of the environment's smoothness prior (relative)")
 
