@@ -57,7 +57,8 @@ def write_inspection(capture: Capture, steps: Sequence[Step], folder: Path) -> P
 def _facts(capture: Capture) -> list[tuple[str, str]]:
     """What was recognised, as names and values."""
     words = {"stokes": "full linear Stokes vectors", "polarisers": "photographs behind polarisers", "none": "none"}
-    out = [("layout", capture.layout), ("polarisation", words[capture.polarisation]), ("up axis", capture.up)]
+    polarised = "cross and parallel frames" if capture.light_stage is not None else words[capture.polarisation]
+    out = [("layout", capture.layout), ("polarisation", polarised), ("up axis", capture.up)]
     if capture.light_stage is not None:
         stage = capture.light_stage
         out += [("lights", str(len(stage.lights))), ("cameras", ", ".join(sorted(stage.cameras)))]
