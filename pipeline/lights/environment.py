@@ -63,7 +63,7 @@ def as_lights(latlong: NDArray, count: int, up: str = "y") -> tuple[NDArray[np.f
     power = (np.nan_to_num(np.asarray(latlong, np.float64)[..., :3]) * areas[..., None]).reshape(-1, 3)
     cells = fibonacci_sphere(count)
     owner = np.concatenate([nearest_light(flat[s : s + BLOCK], cells) for s in range(0, len(flat), BLOCK)])
-    light = np.stack([np.bincount(owner, power[:, c], count) for c in range(3)], -1)
+    light: NDArray[np.float64] = np.stack([np.bincount(owner, power[:, c], count).astype(float) for c in range(3)], -1)
     weight = power.mean(-1)
     centre = np.stack([np.bincount(owner, weight * flat[:, c], count) for c in range(3)], -1)
     size = np.linalg.norm(centre, axis=1, keepdims=True)
