@@ -45,6 +45,7 @@ def _full_integral(arguments, environment: np.ndarray, lobe: str) -> tuple[np.nd
     return diffuse, mirrored
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lobe", ["ggx", "beckmann"])
 def test_radiance_and_polarisation_equal_the_full_lobe_integral(environment, lobe, points):
     arguments = points(120, torch.float64)
@@ -124,7 +125,9 @@ def test_schlick_option_is_equation_20_with_the_two_channel_table(points):
         shade(*arguments, light, fresnel="cook")
 
 
-@pytest.mark.parametrize("lobe,mirror", [("ggx", "split"), ("ggx", "lobe-12"), ("beckmann", "lobe-4")])
+@pytest.mark.parametrize(
+    "lobe,mirror", [("ggx", "split"), pytest.param("ggx", "lobe-12", marks=pytest.mark.slow), ("beckmann", "lobe-4")]
+)
 @pytest.mark.parametrize("occluded", [False, True])
 def test_fused_kernel_equals_the_plain_definition_with_every_gradient(environment, occluded, lobe, mirror, points):
     count = 2000
