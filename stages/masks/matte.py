@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -51,4 +52,12 @@ def matte(sum_of_lights: NDArray) -> NDArray[np.bool_]:
     noise = np.median(np.abs(edge - level)) / 0.6745
     # A rendered stage has no noise at all: then a thousandth of the bright object is what counts as light.
     noise = max(noise, 1e-3 * float(np.percentile(sum_of_lights, 99)) / GROW)
-    return tidy(hysteresis((sum_of_lights - level) / noise, GROW, SEED))
+    lit = hysteresis((sum_of_lights - level) / noise, GROW, SEED)
+    return tidy(lit & ~less_than_half_covered(sum_of_lights - level, lit))
+
+
+def less_than_half_covered(light: NDArray, lit: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Outline pixels [H, W] that are darker than half of their brightest neighbour inside: mixed with the background."""
+    inner = cv2.erode(lit.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
+    brightest = cv2.dilate(np.where(inner, light, 0).astype(np.float32), np.ones((3, 3), np.uint8))
+    return lit & ~inner & (light < 0.5 * brightest)
