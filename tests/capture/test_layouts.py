@@ -1,10 +1,12 @@
 """Every public layout, written and read back: the same Stokes vectors, cameras and masks, without a capture.toml."""
 
+import json
+
 import numpy as np
 import pytest
 
 from pipeline.capture import open_capture
-from pipeline.images import read_mask
+from pipeline.images import read_mask, write_exr
 
 # RGBE shares one exponent: an error of 0.76 % of the pixel's largest channel, and s1 is a difference of two.
 STOKES_TOLERANCE = {"pandora": 0.02}
@@ -52,3 +54,26 @@ def test_an_unknown_folder_is_told_what_was_looked_for_and_found(tmp_path):
     (tmp_path / "notes.txt").write_text("nothing here")
     with pytest.raises(Exception, match=r"notes\.txt.*phygap_mitsuba.*transforms\.json"):
         open_capture(tmp_path)
+
+
+def test_stacks_and_their_masks_behind_transforms(scene, write, tmp_path):
+    """Pixels and cameras are found independently: a frame may name the view that a stack's files begin with."""
+    write.angle_stack(tmp_path, scene)
+    frames = [write.frame(scene.cameras[n], f"images/{n}") for n in scene.names]
+    (tmp_path / "transforms.json").write_text(json.dumps({"frames": frames}))
+    capture = open_capture(tmp_path)
+    assert capture.layout == "stack_transforms" and capture.polarisation == "stokes" and not capture.warnings
+    np.testing.assert_allclose(capture.view("0001").read().stokes, scene.stokes["0001"], atol=2e-6)
+    np.testing.assert_array_equal(read_mask(capture.masks["0001"]), scene.masks["0001"])
+    np.testing.assert_allclose(capture.cameras["0001"].world_to_camera, scene.cameras["0001"].world_to_camera, atol=1e-9)
+
+
+def test_alpha_is_the_mask_where_every_image_has_it(scene, write, tmp_path):
+    for name in scene.names:
+        rgb = scene.intensity(name, 0)
+        channels = {c: rgb[..., k] for k, c in enumerate("RGB")} | {"A": scene.masks[name].astype(np.float32)}
+        write_exr(tmp_path / "images" / f"{name}.exr", channels)
+    write.colmap_text(tmp_path / "sparse", {f"{n}.exr": c for n, c in scene.cameras.items()})
+    capture = open_capture(tmp_path)
+    assert capture.masks == "alpha" and capture.colmap is not None
+    np.testing.assert_array_equal(capture.view("0002").read().alpha > 0.5, scene.masks["0002"])
