@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -17,6 +19,7 @@ from pipeline.images import read_mask
 from pipeline.lights.lobes import LOBES
 from pipeline.lights.solid_angles import solid_angles
 from pipeline.stage import StageRun
+from stages.olat.drift import WARN_PX, Drift
 from stages.olat.fit import fit
 from stages.olat.frames import Band, bands_of, is_half, read_bands
 from stages.olat.maps_out import MapWriter
@@ -65,8 +68,11 @@ def run(stage: StageRun) -> None:
     stage.note("lobe", lobe)
     facts = {"schema": 1, "lobe": lobe, "sigma": "Beckmann/Ward widths", "roughness": "(sigma_x sigma_y)^(1/4)"}
     (stage.output / "maps.json").write_text(json.dumps(facts, indent=1) + "\n")
-    for job in jobs:
-        fit_camera(stage, job, rig, settings)
+    side_by_side = max(1, min(stage.jobs, len(jobs)))
+    threads = max(1, (os.cpu_count() or 1) // side_by_side)
+    with ThreadPoolExecutor(side_by_side) as pool:  # the kernels and the readers release the interpreter's lock
+        for task in [pool.submit(fit_camera, stage, job, rig, settings, threads) for job in jobs]:
+            task.result()
 
 
 def light_rig(index: dict[str, Any], step: int = 1) -> LightTable:
@@ -140,12 +146,12 @@ def camera_job(stage: StageRun, name: str, entry: dict[str, Any], step: int) -> 
     return CameraJob(name, cross, parallel, camera, mask)
 
 
-def fit_camera(stage: StageRun, job: CameraJob, rig: LightTable, settings: Settings) -> None:
+def fit_camera(stage: StageRun, job: CameraJob, rig: LightTable, settings: Settings, threads: int | None = None) -> None:
     """Read, fit and write one camera."""
     parameters: OlatParameters = stage.parameters
     half, bands = frames_plan(job, rig, parameters)
     view = -job.camera.rays().reshape(-1, 3)
-    counts = np.zeros(len(FLAGS), int)
+    counts, drift = np.zeros(len(FLAGS), int), Drift(job.camera.width, job.camera.height)
     with (
         stage.progress.bar(f"fitting {job.name}", int(job.mask.sum()), "px") as bar,
         MapWriter(stage.output / job.name, job.camera.width, job.camera.height) as writer,
@@ -154,7 +160,8 @@ def fit_camera(stage: StageRun, job: CameraJob, rig: LightTable, settings: Setti
             pixels = samples.band.pixels
             near = stage.capture.config.olat.near_light
             points = nearest_points(job.camera, view[pixels]) if near else None
-            rows, _ = fit(samples.cross, samples.parallel, view[pixels], rig, settings, parameters.precision, points)
+            rows, _ = fit(samples.cross, samples.parallel, view[pixels], rig, settings, parameters.precision, points, threads)
+            drift.add(samples)
             if parameters.solver not in ("closed", "gradient"):
                 from stages.olat.paper_chain import solve_band
 
@@ -165,6 +172,13 @@ def fit_camera(stage: StageRun, job: CameraJob, rig: LightTable, settings: Setti
             writer.write(samples.band, rows)
             bar.advance(len(pixels))
     write_preview(stage.output / job.name / "preview.png", writer.preview)
+    right, down = drift.shift()
+    stage.note(f"{job.name}.drift_px", [round(right, 2), round(down, 2)])
+    if max(abs(right), abs(down)) > WARN_PX:
+        stage.warn(
+            f"{job.name}: the parallel pass lies {right:+.1f} px right and {down:+.1f} px down of the crossed one; "
+            "specular maps will show edges there: align the frames before, or capture again with the object fixed"
+        )
     stage.note(f"{job.name}.flags", {name: int(n) for name, n in zip(FLAGS, counts) if n})
 
 

@@ -1,0 +1,52 @@
+"""Has the object or the camera moved between the crossed and the parallel pass? Measured on the passes' mean images."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.olat.frames import Samples
+
+WARN_PX = 0.5  # a shift that mixes neighbouring pixels
+SIDE = 960  # pixels of the longer side at which the shift is measured
+
+
+class Drift:
+    """Collects the mean image of each pass, band by band, at no more than `SIDE` pixels."""
+
+    def __init__(self, width: int, height: int) -> None:
+        """Empty means for frames of this size."""
+        self.width = width
+        self.step = max(1, -(-max(width, height) // SIDE))
+        self.means = np.zeros((2, -(-height // self.step), -(-width // self.step)))
+
+    def add(self, samples: Samples) -> None:
+        """Take in a band."""
+        rows, columns = np.divmod(samples.band.pixels, self.width)
+        on = (rows % self.step == 0) & (columns % self.step == 0)
+        for k, data in enumerate((samples.cross, samples.parallel)):
+            part = data[:, on]
+            values = part.view(np.float16) if part.dtype == np.uint16 else part
+            mean = np.nan_to_num(values.astype(np.float32), posinf=0, neginf=0).mean((0, 2))
+            self.means[k, rows[on] // self.step, columns[on] // self.step] = mean
+
+    def shift(self) -> tuple[float, float]:
+        """(right, down) shift in pixels of the parallel pass against the crossed one; (0, 0) where nothing can be told."""
+        from skimage.registration import phase_cross_correlation
+
+        inside = self.means[0] > 0
+        if inside.sum() < 64:
+            return 0.0, 0.0
+        rows, columns = np.flatnonzero(inside.any(1)), np.flatnonzero(inside.any(0))
+        crop = (slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1))
+        edges = [_edges(image[crop]) for image in self.means]
+        if min(crop[0].stop - crop[0].start, crop[1].stop - crop[1].start) < 16 or not all(e.any() for e in edges):
+            return 0.0, 0.0
+        down, right = phase_cross_correlation(edges[1], edges[0], upsample_factor=20)[0]
+        return float(right) * self.step, float(down) * self.step
+
+
+def _edges(image: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Strength of relative change: what the diffuse and the shiny image of one object share."""
+    log = np.log(np.maximum(image, 1e-3 * float(image.max() or 1.0)))
+    return np.hypot(*np.gradient(log))
