@@ -56,7 +56,7 @@ class SplatModel:
             "anchor": torch.as_tensor(samples.points, dtype=torch.float32),  # where it started; never optimised
             "position": torch.as_tensor(samples.points, dtype=torch.float32),
             "normal": normal,
-            "log_scale": torch.log(torch.as_tensor(0.75 * samples.spacing, dtype=torch.float32)),
+            "log_scale": torch.log(torch.as_tensor(0.5 * samples.spacing, dtype=torch.float32)),
             "opacity": logit(0.95).expand(count),
             "albedo": logit(albedo).expand(count, 3),
             "roughness_offset": torch.zeros(count),

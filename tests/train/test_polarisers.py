@@ -58,7 +58,10 @@ def test_finite_extinction_lowers_the_contrast():
     assert torch.allclose(bank.intensity(stokes, "a"), stokes[:, 0] + 0.5 * stokes[:, 1])
 
 
-@pytest.mark.parametrize(("angles", "bad"), [((20.0,), True), ((20.0, 200.5), True), ((179.5, 0.5), True), ((20.0, 95.0), False)])
+CASES = [((20.0,), True), ((20.0, 200.5), True), ((179.5, 0.5), True), ((20.0, 95.0), False)]
+
+
+@pytest.mark.parametrize(("angles", "bad"), CASES)
 def test_says_when_the_angles_determine_nothing(angles, bad):
     names = [f"c{k}" for k in range(len(angles))]
     bank = PolariserBank({n: PolariserPrior(a, True) for n, a in zip(names, angles)}, names)

@@ -63,7 +63,8 @@ def test_diffusion_keeps_constants_and_the_input(sphere):
 
 
 def test_quaternions_carry_z_to_every_normal():
-    n = unit(torch.cat([torch.randn(500, 3, generator=torch.Generator().manual_seed(1)), torch.tensor([[0.0, 0, 1], [0, 0, -1]])]))
+    poles = torch.tensor([[0.0, 0, 1], [0, 0, -1]])
+    n = unit(torch.cat([torch.randn(500, 3, generator=torch.Generator().manual_seed(1)), poles]))
     w, x, y, z = torch.nn.functional.normalize(normal_quaternions(n), dim=-1).unbind(-1)
     third = torch.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], -1)
     assert torch.allclose(third, n, atol=1e-5)

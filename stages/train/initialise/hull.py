@@ -98,14 +98,15 @@ def occupancy(
 
 
 def _grid(low: np.ndarray, high: np.ndarray, spacing: float) -> tuple[np.ndarray, tuple[int, ...]]:
-    axes = [np.arange(a, b + spacing, spacing) for a, b in zip(low, high)]
+    # Counted, not stepped to an end: far from the origin the end would be met or missed by rounding.
+    axes = [a + spacing * np.arange(int(np.ceil(round((b - a) / spacing, 6))) + 1) for a, b in zip(low, high)]
     return np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3), tuple(map(len, axes))
 
 
 def visual_hull(
     silhouettes: Sequence[Silhouette], resolution: int, offset: float = 0.0, outvoted: int = 0
 ) -> tuple[HullMesh, np.ndarray, float]:
-    """The hull's mesh and its bounding box's centre [3] and half-diagonal-free half-size (largest half extent).
+    """The hull's mesh and its bounding box's centre [3] and largest half extent.
 
     `resolution`: voxels along the longest side. `offset`: pixels by which the object exceeds its masks.
     Raises UserError where the masks have no common object.
@@ -115,16 +116,16 @@ def visual_hull(
     distances = [signed_distance(s.mask, offset) for s in silhouettes]
     centre, half = bounds(silhouettes)
     half *= 1.3
-    coarse, shape = _grid(centre - half, centre + half, 2 * half / 40)
-    field = occupancy(silhouettes, distances, coarse, outvoted)
-    kept = coarse[without_debris(_block(coarse, field)).ravel() > -2 * half / 40]
-    if len(kept) < 2 or (field > 0).sum() < 2:
+    coarse, coarse_shape = _grid(centre - half, centre + half, 2 * half / 40)
+    near = without_debris(occupancy(silhouettes, distances, coarse, outvoted).reshape(coarse_shape))
+    kept = coarse[near.ravel() > -2 * half / 40]
+    if len(kept) < 2 or (near > 0).sum() < 2:
         raise UserError("masks", "they have no object in common", "check the masks, the cameras and their pairing")
     margin = 2 * half / 40
     low, high = kept.min(0) - margin, kept.max(0) + margin
     spacing = float((high - low).max()) / resolution
     points, shape = _grid(low, high, spacing)
-    near = _block(coarse, field)  # the coarse field tells what is far from the surface
+    # the coarse field tells what is far from the surface
     lookup = ndimage.map_coordinates(near, ((points - (centre - half)) / (2 * half / 40)).T, order=1, mode="nearest")
     band = np.abs(lookup) < 4 * half / 40
     values = lookup.astype(np.float32)
@@ -138,11 +139,6 @@ def visual_hull(
     mesh = smoothed(vertices, triangles[:, ::-1].astype(np.int64), rounds=6)
     extent = mesh.vertices.max(0) - mesh.vertices.min(0)
     return mesh, 0.5 * (mesh.vertices.max(0) + mesh.vertices.min(0)), float(0.5 * extent.max())
-
-
-def _block(points: np.ndarray, field: np.ndarray) -> np.ndarray:
-    count = round(len(points) ** (1 / 3))
-    return field.reshape(count, count, count)
 
 
 def without_debris(volume: np.ndarray) -> np.ndarray:
