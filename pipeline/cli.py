@@ -17,6 +17,7 @@ from typing import Any
 from pipeline.capture import Capture, open_capture
 from pipeline.dataset import Dataset, digest_json
 from pipeline.errors import UserError
+from pipeline.images import image_size
 from pipeline.plan import Step, load_stages, make_plan, parse_overrides, plan_as_json, plan_as_text
 from pipeline.progress import Progress
 from pipeline.stage import Stage
@@ -212,6 +213,10 @@ def _environments(options: argparse.Namespace, capture: Capture) -> tuple[Path, 
             raise UserError(path, "no such environment map", "check ENVS=")
         if path.suffix.lower() not in (".hdr", ".exr"):
             raise UserError(path, "is not an .hdr or .exr file", "convert the map to one of these")
+        width, height = image_size(path)
+        if width != 2 * height:  # told now, not after the training
+            fault = f"is {width}x{height}: a latitude-longitude map is twice as wide as high"
+            raise UserError(path, fault, "convert it to that projection")
         other = by_name.setdefault(path.stem, path)
         if other.absolute() != path.absolute():
             raise UserError(path, f"has the same name as {other}", "rename one of them: results are named after the map")

@@ -15,7 +15,7 @@ import pytest
 from .conftest import QUICK, ROOT, command, polarfield
 
 pytestmark = pytest.mark.slow
-ROUNDS = 7
+ROUNDS = 4
 EXACT = ("decode", "poses", "masks")  # bit for bit; the others to equal figures
 
 
