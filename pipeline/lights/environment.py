@@ -53,7 +53,7 @@ def irradiance_per_light(latlong: NDArray, lights: NDArray[np.float64], up: str 
 
 
 def as_lights(latlong: NDArray, count: int, up: str = "y") -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
-    """A map as `count` distant lights: directions [count, 3] in the capture's world, irradiance [count, 3], and their spacing (rad).
+    """A map as `count` distant lights: directions [count, 3] in the capture's world, irradiance [count, 3], spacing (rad).
 
     Directions are the radiance-weighted centres of near-uniform cells, so that a sun stays where it is.
     """
@@ -62,7 +62,7 @@ def as_lights(latlong: NDArray, count: int, up: str = "y") -> tuple[NDArray[np.f
     flat = directions.reshape(-1, 3)
     power = (np.nan_to_num(np.asarray(latlong, np.float64)[..., :3]) * areas[..., None]).reshape(-1, 3)
     cells = fibonacci_sphere(count)
-    owner = np.concatenate([nearest_light(flat[s : s + BLOCK], cells) for s in range(0, len(flat), BLOCK)])
+    owner: NDArray[np.intp] = np.concatenate([nearest_light(flat[s : s + BLOCK], cells) for s in range(0, len(flat), BLOCK)])
     light: NDArray[np.float64] = np.stack([np.bincount(owner, power[:, c], count).astype(float) for c in range(3)], -1)
     weight = power.mean(-1)
     centre = np.stack([np.bincount(owner, weight * flat[:, c], count) for c in range(3)], -1)

@@ -1,4 +1,4 @@
-"""Where compiled kernels are kept: numba looks only at a function's own file, so a change in a kernel that it calls goes unseen."""
+"""Where compiled kernels are kept: numba looks only at a function's own file and misses changes in kernels it calls."""
 
 from __future__ import annotations
 

@@ -81,8 +81,8 @@ def relight_maps(
 ) -> NDArray[np.float32]:
     """The object under a map, rendered from the fitted maps: float32 [H, W, 3], black outside the object.
 
-    maps_folder: `olat/current/camNN`; camera: that camera; env_latlong [h, w, 3] linear; occlusion: multiply diffuse and specular
-    light by their occlusion maps (the frames' sum has their shadows). The map's light is gathered into `count` cells.
+    maps_folder: `olat/current/camNN`; camera: that camera; env_latlong [h, w, 3] linear; occlusion: multiply diffuse and
+    specular light by their occlusion maps (the frames' sum has their shadows). The map's light is gathered into `count` cells.
     """
     directions, light, spacing = as_lights(env_latlong, count, up)
     return render_maps(maps_folder, camera, directions, light, spacing, occlusion)

@@ -77,8 +77,8 @@ def render_pixels(
 ) -> NDArray[np.float64]:
     """Irradiance and specular radiance [P, 2, 3] of P pixels under M lights.
 
-    view, normals, tangent [P, 3]; sigma [P, 2] (larger first, along the tangent); albedo_s [P]; directions [M, 3]; light [M, 3]:
-    irradiance; spread (rad): added to the widths in quadrature.
+    view, normals, tangent [P, 3]; sigma [P, 2] (larger first, along the tangent); albedo_s [P]; directions [M, 3]; light
+    [M, 3]: irradiance; spread (rad): added to the widths in quadrature.
     """
     out = np.zeros((len(view), 2, 3))
     _render(lobe, view, normal_d, normal_s, tangent, sigma, albedo_s, directions, light, spread, out)

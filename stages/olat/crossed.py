@@ -1,7 +1,7 @@
 """Two lobes of one surface whose tangents cross within a pixel: shared normal and widths, two directions.
 
-Brushed parts meet, hair crosses, a mesh's faces are smaller than a pixel: one anisotropic lobe fitted to such a pixel is too round
-and points nowhere. Levenberg-Marquardt over (tilt 2, log sigma 2, angle 2, albedo 2).
+Brushed parts meet, hair crosses, a mesh's faces are smaller than a pixel: one anisotropic lobe fitted to such a pixel
+is too round and points nowhere. Levenberg-Marquardt over (tilt 2, log sigma 2, angle 2, albedo 2).
 """
 
 from __future__ import annotations
@@ -151,7 +151,7 @@ def crossed_values(lobe, frame, x, o, h, i, g):
 
 @njit(cache=True, error_model="numpy")
 def fit_crossed(lobe, frame, x, large, small, angle, rho, o, h, i, light, floor, use, prior, n_d, tolerance):
-    """Fit two crossed lobes from a single one (large, small, angle, rho), in place on (frame, x [6]). Returns (cost, passes)."""
+    """Fit two crossed lobes from one (large, small, angle, rho), in place on (frame, x [6]). Returns (cost, passes)."""
     best, passes = 1e30, 0
     frame2, x2, start = np.empty((3, 3)), np.empty(6), np.empty((3, 3))
     copy2(frame, start)

@@ -80,7 +80,8 @@ def fit_normal(light, ok, wx, wy, wz, rounds, plain, weight, work, scratch):
     """Scaled diffuse normal `m` = (albedo x normal) of one pixel.
 
     light [N]: I_d over irradiance factor; ok [N]: 1 usable, 0 not; w [N]: directions to the lights; `weight` [N] is
-    filled with the final weights; plain: every light before the surface counts fully, PRF Eq. 12. Returns (mx, my, mz, residual scale, lights in use, solved).
+    filled with the final weights; plain: every light before the surface counts fully, PRF Eq. 12.
+    Returns (mx, my, mz, residual scale, lights in use, solved).
     """
     usable = 0
     for k in range(light.size):

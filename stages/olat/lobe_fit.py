@@ -33,8 +33,8 @@ def fit_lobe(
 ):
     """Fit one pixel's lobe in place on (frame, shape, rho[0]).
 
-    half, incident [3, N], light, floor, use, area (sr), cosine (h·o) [N]: the lights before the surface; weight, g [N]: workspace,
-    left with the final weights and the lobe's values; top, noise: brightest sample and deviation; prior: strength of
+    half, incident [3, N], light, floor, use, area (sr), cosine (h·o) [N]: the lights before the surface; weight, g [N]:
+    workspace, left with the final weights and the lobe's values; top, noise: brightest sample and deviation; prior: strength of
     the tie to n_d where `solved`, negative where n_d is simply given.
     Returns (gradient norm, passes, share of the stronger of two crossed lobes: 1 where one lobe is kept).
     """
@@ -89,8 +89,8 @@ def fit_lobe(
         x = np.empty(6)
         copy2(frame, frame2)
         tie = prior * miss / max(float(light.size), 1.0) * (1.0 + 100.0 * miss / data) if stiff else 0.0
-        _, more = fit_crossed(settings.lobe, frame2, x, large, small, angle, rho[0], o, half, incident, light, floor, use, tie, n_d,
-                              settings.tolerance)  # fmt: skip
+        _, more = fit_crossed(settings.lobe, frame2, x, large, small, angle, rho[0], o, half, incident, light, floor, use, tie,
+                              n_d,                               settings.tolerance)  # fmt: skip
         passes += more
         crossed_values(settings.lobe, frame2, x, o, half, incident, weight)
         other, _ = _misfit(weight, kind(1.0), light, floor, use)

@@ -1,4 +1,4 @@
-"""PRF 4.3 with one of jaxopt's solvers: gradient start, n_d, rho_d, n_s, sigma, rho_s, correlation fusion, on a band of pixels."""
+"""PRF 4.3 with one of jaxopt's solvers, on a band of pixels: n_d, rho_d, n_s, sigma, rho_s, correlation fusion."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ def solve_band(
 ) -> None:
     """Replace normals, albedos and widths in the closed chain's `rows` [P, WIDTH] by the solver's, in place.
 
-    cross, parallel [N, P, 3] (half-float bits or floats), view [P, 3]. Visibility, occlusion, inter-reflection and flags stay the
-    closed chain's. Pixels that it flags keep its values: their problems have no solution to find.
+    cross, parallel [N, P, 3] (half-float bits or floats), view [P, 3]. Visibility, occlusion, inter-reflection and flags stay
+    the closed chain's. Pixels that it flags keep its values: their problems have no solution to find.
     """
     at = columns()
     good = rows[:, at["residual"]][:, 1] == 0
@@ -63,7 +63,8 @@ def solve_band(
     put = {
         "diffuse_normal": n_d, "specular_normal": n_s, "specular_albedo": np.maximum(rho, 0),
         "sigma": np.sort(sigma, 1)[:, ::-1], "tangent": np.where(large, t, b),
-        "roughness": (sigma[:, :1] * sigma[:, 1:]) ** 0.25, "anisotropy": np.abs(sigma[:, :1] - sigma[:, 1:]) / sigma.sum(1)[:, None],
+        "roughness": (sigma[:, :1] * sigma[:, 1:]) ** 0.25,
+        "anisotropy": np.abs(sigma[:, :1] - sigma[:, 1:]) / sigma.sum(1)[:, None],
     }  # fmt: skip
     score_d = (scaled(light, use)[0] * scaled(n_d @ w.T, use)[0]).sum(1, keepdims=True)
     score_s = (data * g / size).sum(1, keepdims=True)

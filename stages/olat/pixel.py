@@ -476,8 +476,8 @@ def _specular(n, w, o, area, settings, n_d, solved, top_d, room, out):
         for j in range(n):
             weight[j] = use[j]
     else:
-        norm, passes, share = fit_lobe(settings, o, tied, tie, solved, half, incident, light, floor, use, areas, cosine, weight, g, top,
-                                noise, frame, shape, rho)  # fmt: skip
+        norm, passes, share = fit_lobe(settings, o, tied, tie, solved, half, incident, light, floor, use, areas, cosine, weight,
+                                       g, top, noise, frame, shape, rho)  # fmt: skip
     rho[0] = linear_albedo(g, light, weight, floor) if share == 1.0 else rho[0]
     large, small, angle = widths(shape)
     if not (math.isfinite(large) and math.isfinite(small) and math.isfinite(rho[0]) and math.isfinite(frame[2, 0])):

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -62,6 +63,8 @@ def run(stage: StageRun) -> None:
     stage.note("overexposure", {"run": bound, "reason": why if parameters.overexposure != "off" else "overexposure=off"})
     stage.note("lights", {"used": len(rig), "of": len(index["lights"]["directions"])})
     settings = settings_of(parameters, stage.capture.config.olat, float(level) if bound else np.inf)
+    if not any(Path(getattr(numba.config, "CACHE_DIR", "") or ".").glob("**/fit.fit_pixels*.nbc")):
+        stage.progress.say("compiling the fits for this machine (once; about a minute)")
     jobs = [camera_job(stage, name, entry, step) for name, entry in index["cameras"].items()]
     settings = choose_lobe(stage, jobs[0], rig, settings)
     lobe = next(name for name, value in LOBES.items() if value == settings.lobe)
