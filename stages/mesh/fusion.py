@@ -18,6 +18,7 @@ from .gbuffer import DepthView
 
 BLOCK = 8  # voxels along a block's edge
 FREE_WEIGHT = 0.5  # of a ray that misses the object, against a surface seen squarely
+SAMPLED = 20_000  # points of a view that its extent is told from
 LEAST_WEIGHT = 0.02  # a voxel seen only at grazing angles by one view says too little
 
 
@@ -46,10 +47,13 @@ def points_of(view: DepthView) -> NDArray[np.float64]:
 
 def measure(views: Iterable[DepthView]) -> Extent:
     """Extent of the object, a thousandth of outlying points left out on every side."""
-    views = list(views)
-    points = np.concatenate([points_of(v) for v in views])
-    low, high = np.quantile(points, [0.001, 0.999], axis=0)
-    footprints = [np.median(v.depth[v.depth > 0]) / np.sqrt(v.camera.fx * v.camera.fy) for v in views if v.depth.any()]
+    points, footprints = [], []
+    for view in views:
+        if view.depth.any():
+            found = points_of(view)
+            points.append(found[:: max(1, len(found) // SAMPLED)])
+            footprints.append(np.median(view.depth[view.depth > 0]) / np.sqrt(view.camera.fx * view.camera.fy))
+    low, high = np.quantile(np.concatenate(points), [0.001, 0.999], axis=0)
     return Extent(low, high, float(np.median(footprints)))
 
 
@@ -62,9 +66,12 @@ class Volume:
         self.voxel, self.truncation = voxel, truncation
         float32 = o3d.core.float32
         margin = 4 * truncation
-        points = np.concatenate([points_of(v) for v in views])
-        near = ((points > extent.low - margin) & (points < extent.high + margin)).all(1)
-        touched = _blocks_near(points[near], voxel, truncation)
+        blocks = []
+        for view in views:
+            points = points_of(view)
+            near = ((points > extent.low - margin) & (points < extent.high + margin)).all(1)
+            blocks.append(_blocks_near(points[near], voxel, truncation))
+        touched = np.unique(np.concatenate(blocks), axis=0)
         self._grid = o3d.t.geometry.VoxelBlockGrid(
             ("tsdf", "weight"), (float32, float32), ((1), (1)), voxel, BLOCK, len(touched), o3d.core.Device("CPU:0")
         )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -33,18 +34,27 @@ class DepthView:
 CHANNELS = ("depth", "alpha", "N.X", "N.Y", "N.Z", "albedo.R", "albedo.G", "albedo.B", "roughness", "ior")
 
 
-def read_views(folder: Path, cameras: dict[str, Camera]) -> dict[str, DepthView]:
-    """Every VIEW with a G-buffer in `folder`. Raises UserError when there is none."""
-    out = {}
-    for view, camera in sorted(cameras.items()):
-        path = folder / f"{view}.exr"
-        if not path.exists():
-            continue
-        a = read_image(path, CHANNELS)
-        solid = (a[..., 1] > SOLID) & (a[..., 0] > 0)
-        depth = np.where(solid, a[..., 0], 0)
-        here = camera if camera.width == a.shape[1] else camera.resized(a.shape[1], a.shape[0])
-        out[view] = DepthView(here, depth, a[..., 2:5], a[..., 5:10], a[..., 1])
-    if not any((v.depth > 0).any() for v in out.values()):
-        raise UserError(folder, "no view shows the object", "look at the train stage's pictures: did it train?")
-    return out
+class Views:
+    """Every VIEW with a G-buffer, read again whenever it is iterated over: a large capture does not fit into memory."""
+
+    def __init__(self, folder: Path, cameras: dict[str, Camera]) -> None:
+        """Raises UserError when no view shows the object."""
+        self._files = [(folder / f"{v}.exr", c) for v, c in sorted(cameras.items()) if (folder / f"{v}.exr").exists()]
+        if not any((view.depth > 0).any() for view in self):
+            raise UserError(folder, "no view shows the object", "look at the train stage's pictures: did it train?")
+
+    def __len__(self) -> int:
+        return len(self._files)
+
+    def __iter__(self) -> Iterator[DepthView]:
+        for path, camera in self._files:
+            yield read_view(path, camera)
+
+
+def read_view(path: Path, camera: Camera) -> DepthView:
+    """One G-buffer. Raises UserError."""
+    a = read_image(path, CHANNELS)
+    solid = (a[..., 1] > SOLID) & (a[..., 0] > 0)
+    depth = np.where(solid, a[..., 0], 0)
+    here = camera if camera.width == a.shape[1] else camera.resized(a.shape[1], a.shape[0])
+    return DepthView(here, depth, a[..., 2:5], a[..., 5:10], a[..., 1])

@@ -11,7 +11,7 @@ from pipeline.stage import StageRun
 from .attributes import bake, vertex_table
 from .clean import Mesh, fill_holes, in_fixed_order, keep_faces, largest_pieces, without_slivers
 from .fusion import Extent, Volume, measure
-from .gbuffer import DepthView, read_views
+from .gbuffer import Views
 from .outline import outline_gap
 from .ply import write_ply
 
@@ -22,15 +22,15 @@ MOST_OUTWARD = 0.5  # of the truncation, where the field is still a distance
 def make_mesh(run: StageRun) -> None:
     """Fuse, extract, clean, bake, write."""
     p = run.parameters
-    views = read_views(run.inputs["train"] / "gbuffer", load_cameras(run.inputs["poses"] / "cameras.json"))
-    extent = measure(views.values())
+    views = Views(run.inputs["train"] / "gbuffer", load_cameras(run.inputs["poses"] / "cameras.json"))
+    extent = measure(views)
     voxel = max(p.voxel_px * extent.footprint, extent.size / p.max_voxels)
-    mesh, outward = _surface(run, list(views.values()), extent, voxel)
+    mesh, outward = _surface(run, views, extent, voxel)
     holes = 0
     if p.fill_holes:
         mesh, holes = fill_holes(mesh)
     mesh = in_fixed_order(without_slivers(mesh))
-    mesh, seen = bake(mesh, views.values(), 2 * voxel + abs(outward))
+    mesh, seen = bake(mesh, views, 2 * voxel + abs(outward))
     write_ply(run.output / "mesh.ply", *vertex_table(mesh), mesh.faces)
     run.note("size", extent.size)
     run.note("voxel", voxel)
@@ -39,10 +39,10 @@ def make_mesh(run: StageRun) -> None:
     run.note("vertices_seen", seen)
     run.note("holes_filled", holes)
     if p.poisson:
-        _write_poisson(run, mesh, list(views.values()), voxel)
+        _write_poisson(run, mesh, views, voxel)
 
 
-def _surface(run: StageRun, views: list[DepthView], extent: Extent, voxel: float) -> tuple[Mesh, float]:
+def _surface(run: StageRun, views: Views, extent: Extent, voxel: float) -> tuple[Mesh, float]:
     """The cleaned surface, and how far outward of the fused depths it lies."""
     p = run.parameters
     truncation = p.truncation_voxels * voxel
@@ -66,7 +66,7 @@ def _surface(run: StageRun, views: list[DepthView], extent: Extent, voxel: float
     return mesh, outward
 
 
-def _write_poisson(run: StageRun, mesh: Mesh, views: list[DepthView], voxel: float) -> None:
+def _write_poisson(run: StageRun, mesh: Mesh, views: Views, voxel: float) -> None:
     from .poisson import poisson_surface
 
     surface = largest_pieces(without_slivers(poisson_surface(mesh, run.parameters.poisson_depth)), 0.02)
