@@ -23,7 +23,7 @@ from .angle_search import search_angles
 from .data import SourceView, View, load_sources, prepare
 from .parameters import TrainParameters
 from .setup import Start, prepare_training
-from .trainer import REFRESH, Trainer
+from .trainer import CYCLE, Trainer
 
 if TYPE_CHECKING:
     from pipeline.stage import StageRun
@@ -89,7 +89,7 @@ def optimise(trainer: Trainer, stage: StageRun, started: float) -> History:
         while trainer.iteration < parameters.iterations:
             now = time.monotonic()
             history.wall_s = earlier + now - started
-            if trainer.iteration % REFRESH == 0 and now - last_saved > parameters.checkpoint_s:
+            if trainer.iteration % CYCLE == 0 and now - last_saved > parameters.checkpoint_s:
                 checkpoint.save(stage.scratch, {"trainer": trainer.state(), "history": vars(history)})
                 last_saved = now
             advance(trainer, history, bar)
@@ -120,7 +120,7 @@ def advance(trainer: Trainer, history: History, bar: Bar) -> None:
 def should_stop(trainer: Trainer, history: History) -> bool:
     """Whether refining further is pointless or out of time (never twice, never while images are still coarse)."""
     p = trainer.parameters
-    if history.stopped_at >= 0 or trainer.iteration % REFRESH:
+    if history.stopped_at >= 0 or trainer.iteration % CYCLE:
         return False
     phase = trainer.phase(trainer.iteration)
     if p.max_minutes > 0 and history.wall_s > 60 * p.max_minutes * (1 - p.consolidate_fraction):

@@ -27,10 +27,9 @@ from .render import Rendered, rasterise_view, render_view
 from .schedule import Phase, epoch_order, phase_at
 from .surface_losses import SurfaceWeights, surface_loss
 
-REFRESH = 100  # steps between rebuilding what depends on the geometry as a whole (graph, occlusion); checkpoints fall here
+REFRESH = 100  # steps between rebuilding the surface graph
+CYCLE = 2 * REFRESH  # steps between densification, tracing and checkpoints: nothing traced has to be saved then
 OCCLUSION_FROM = 200  # steps before the first tracing: the light and the albedo must mean something
-OCCLUSION_EVERY = 2  # refreshes between tracings
-DENSIFY_EVERY = 2  # refreshes between looks at what shows and what pulls: more than one epoch of 36 views
 DENSIFY_UNTIL = 0.6  # share of the run after which the splats stay as they are
 ANGLE_STEPS = (200, 300)  # steps at which unknown polariser angles are solved for outright; descent does the rest
 POLARISATION_SCALE = 1.0  # L_pol in encoded units weighs as much as L_rgb: both then count display steps
@@ -52,7 +51,7 @@ GROUPS = {
 
 @dataclass
 class Scene:
-    """Everything that is optimised or derived from it. `graph` and `occlusion` are rebuilt every REFRESH steps."""
+    """Everything that is optimised or derived from it. `graph` and `occlusion` are rebuilt as training goes."""
 
     model: SplatModel
     environment: Environment
@@ -111,17 +110,16 @@ class Trainer:
     def refresh(self) -> None:
         """Rebuild the surface graph from the current surface and, when it is due, what the object hides from itself."""
         model = self.scene.model
-        if self.scene.graph is None:
-            self.scene.graph = build_graph(model["position"], model["normal"])
-        if self.iteration > 0 and self.iteration % (DENSIFY_EVERY * REFRESH) == 0:
-            self.densify()
         self.scene.graph = build_graph(model["position"], model["normal"])
-        steps = self.iteration // REFRESH
-        if self.parameters.occlusion and self.iteration >= OCCLUSION_FROM and steps % OCCLUSION_EVERY == 0:
+        if self.iteration % CYCLE:
+            return
+        if self.iteration > 0 and self.densify():
+            self.scene.graph = build_graph(model["position"], model["normal"])
+        if self.parameters.occlusion and self.iteration >= OCCLUSION_FROM:
             self.trace()
 
-    def densify(self) -> None:
-        """Remove what does not show, then add where the images pull hardest, up to the bound; the count ends up bounded."""
+    def densify(self) -> bool:
+        """Remove what does not show, then add where the images pull hardest, up to the bound; whether it is still time."""
         p, model = self.parameters, self.scene.model
         done = self.iteration / p.iterations
         if p.densify and done <= DENSIFY_UNTIL:
@@ -133,6 +131,7 @@ class Trainer:
             assert self.scene.graph is not None
             split_edges(model, self.adam, edges_to_split(self.scene.graph, self.activity, p.max_splats - len(model)))
         self.activity = Activity.empty(len(model), model["position"].device)
+        return p.densify and done <= DENSIFY_UNTIL
 
     @torch.no_grad()
     def trace(self) -> None:
@@ -225,7 +224,7 @@ class Trainer:
         """Go on at the last phase: every view, falling learning rates."""
         p = self.parameters
         start = int(p.iterations * (1 - p.consolidate_fraction))
-        self.iteration = max(self.iteration, -(-start // REFRESH) * REFRESH)
+        self.iteration = max(self.iteration, start // CYCLE * CYCLE)
 
     def measured_terms(self, view: View, rendered: Rendered) -> dict[str, torch.Tensor]:
         """Radiance and polarisation losses, as the data allow."""
@@ -298,7 +297,7 @@ class Trainer:
         return out
 
     def state(self) -> dict[str, Any]:
-        """Everything the next step depends on. Call it at a REFRESH boundary: graph and occlusion are rebuilt there."""
+        """Everything the next step depends on. Call it at a CYCLE boundary: graph and occlusion are rebuilt there."""
         tensors = {name: t.detach().clone() for name, t in self.tensors().items()}
         bank = self.scene.bank
         std, settled = (bank.std_deg, list(bank.settled)) if bank is not None else ([], [])
