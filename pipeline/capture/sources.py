@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from pipeline.capture.brackets import read_exposures
 from pipeline.capture.config import CaptureConfig
-from pipeline.capture.files import FLOAT_SUFFIXES, RAW_SUFFIXES, refuse_duplicates
+from pipeline.capture.files import RAW_SUFFIXES, refuse_duplicates
 from pipeline.capture.frame import apply_stokes_config
 from pipeline.capture.grouping import Group, group_files
 from pipeline.capture.model import DecodedView, ViewSource
-from pipeline.capture.pixels import LinearImage
+from pipeline.capture.mosaic_signs import is_mosaic, mosaic_colour, read_mosaic
 from pipeline.capture.stack import design_covariance, polariser_design, solve_stack
 from pipeline.capture.stokes_files import finished, holds_stokes, is_verbatim, stokes_exr_loader
 from pipeline.errors import UserError
@@ -249,89 +249,8 @@ def group_camera(group: Group) -> str:
     return "camera"
 
 
-def read_mosaic(group: Group, config: CaptureConfig) -> LinearImage:
-    """The bare mosaic [H, W, 1] of one view, brackets merged."""
-    path = group.paths[0]
-    if path.suffix.lower() in RAW_SUFFIXES:
-        from pipeline.capture.raw import read_raw_mosaic
-
-        samples, saturated = read_raw_mosaic(path, config.radiometry)
-        return LinearImage(samples[..., None], ("Y",), saturated, 16)
-    return read_exposures(group.angles[None], config.radiometry, sensor_data=True)
-
-
 def _block_any(saturated: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """A saturated sample spoils every pixel that uses it: its neighbours within two pixels."""
     from scipy.ndimage import binary_dilation
 
     return binary_dilation(saturated, iterations=2, structure=np.ones((3, 3), bool)) if saturated.any() else saturated
-
-
-def is_mosaic(paths: Sequence[Path], config: CaptureConfig) -> bool:
-    """Whether single-channel sensor files are 2x2 polariser mosaics rather than grey pictures (a few are looked at)."""
-    some = _a_few(paths)
-    if any(p.suffix.lower() in FLOAT_SUFFIXES | RAW_SUFFIXES or len(channel_names(p)) != 1 for p in some):
-        return False
-    return float(np.mean([carrier_share(_bare(p, config), period=4) for p in some])) > CARRIER_SHARE
-
-
-def mosaic_colour(paths: Sequence[Path], config: CaptureConfig) -> str:
-    """ "bayer" where the 2x2 blocks of mosaics alternate as colours do, else "mono"."""
-    shares = []
-    for path in _a_few(paths):
-        samples = _bare(path, config)
-        h, w = samples.shape[0] // 2 * 2, samples.shape[1] // 2 * 2
-        blocks = samples[:h, :w].reshape(h // 2, 2, w // 2, 2).mean((1, 3))
-        shares.append(carrier_share(blocks, period=2))
-    return "bayer" if float(np.mean(shares)) > COLOUR_SHARE else "mono"
-
-
-def _a_few(paths: Sequence[Path]) -> list[Path]:
-    return list(paths)[:: max(1, len(paths) // LOOKED_AT)][:LOOKED_AT]
-
-
-LOOKED_AT = 4
-
-
-def _bare(path: Path, config: CaptureConfig) -> NDArray[np.float32]:
-    group = group_files([path], path.parent, config, stacks=False)[0]
-    return read_mosaic(group, config).pixels[..., 0]
-
-
-CARRIER_SHARE = 0.04
-"""Of the lit tiles that must show the pattern: measured 0.12 to 0.32 on mosaics of small objects, 0.005 at most on their
-grey pictures, 0.003 on textured photographs that were demosaiced themselves."""
-COLOUR_SHARE = 0.03
-"""The same for colours, which grey parts do not show: 0.07 to 0.29 on average, 0.00 on monochrome mosaics."""
-TILE = 4
-SURE = 6.0
-
-
-def carrier_share(samples: NDArray[np.float32], period: int) -> float:
-    """Share of lit tiles in which odd and even columns (or rows) differ steadily by more than content explains.
-
-    Per 2x2 block the step from its first to its second sample, less the slope over `period` on either side (a multiple
-    of the colours' period, so that colours do not enter), is averaged over tiles of 4x4 blocks and held against its own
-    scatter.
-    """
-    share = 0.0
-    for image in (samples, samples.T):
-        span = 2 * period
-        height, width = image.shape[0] // 2 * 2, (image.shape[1] - span) // 2 * 2
-        if height < 2 * TILE or width < 2 * TILE:
-            continue
-        here = image[:height, period : period + width]
-        before, after = here - image[:height, :width], image[:height, span : span + width] - here
-        slope = np.where(np.abs(before) < np.abs(after), before, after) / period  # the smoother side: edges are one-sided
-        step = (np.roll(here, -1, axis=1) - here - slope)[:, ::2]
-        step = (step[::2] + step[1::2]) / 2 if period == 4 else step[: height // 2 * 2]
-        rows, columns = step.shape[0] // TILE * TILE, step.shape[1] // TILE * TILE
-        tiles = step[:rows, :columns].reshape(rows // TILE, TILE, -1, TILE).swapaxes(1, 2).reshape(-1, TILE * TILE)
-        level = here[:: here.shape[0] // step.shape[0], ::2][:rows, :columns]
-        bright = level.reshape(rows // TILE, TILE, -1, TILE).mean((1, 3)).ravel()
-        lit = bright > 0.05 * np.percentile(bright, 99)
-        if lit.sum() < 4:
-            continue
-        z = np.abs(tiles.mean(1)) * TILE / (tiles.std(1) + 1e-9)
-        share = max(share, float((z[lit] > SURE).mean()))
-    return share

@@ -10,7 +10,8 @@ from pipeline.capture.layouts import Layout
 from pipeline.capture.layouts.photographs import pictures
 from pipeline.capture.layouts.photographs import recognise as has_pictures
 from pipeline.capture.model import Capture
-from pipeline.capture.sources import discover, is_mosaic
+from pipeline.capture.mosaic_signs import is_mosaic
+from pipeline.capture.sources import discover
 from pipeline.errors import UserError
 
 
