@@ -46,7 +46,7 @@ def test_a_truncated_frame_is_named(tmp_path):
     path = tmp_path / "000001.exr"
     write_exr(path, {c: np.random.default_rng(0).uniform(size=(64, 64)) for c in "RGB"}, half=True)
     path.write_bytes(path.read_bytes()[:4000])
-    with pytest.raises(UserError, match="000001.exr"):
+    with pytest.raises(UserError, match=r"000001\.exr"):
         read_rows(path, 48, 64, True)
 
 
