@@ -188,8 +188,10 @@ class Trainer:
             self.refresh()
         phase = self.phase(self.iteration)
         if self.scene.bank is not None and self.iteration in ANGLE_STEPS and phase.level == 0:
+            known = dict(zip(self.scene.bank.names, self.scene.bank.known))
             for name, (angle, _, _) in self.estimate_angles(phase.level).items():
-                self.scene.bank.set_angle(name, angle)
+                if not known[name]:  # a told angle is nearer than a half-trained model's estimate
+                    self.scene.bank.set_angle(name, angle)
         view = self.view_at(self.iteration, phase)
         rendered = self.render(view, phase.level)
         terms = self.loss_terms(view, rendered)
