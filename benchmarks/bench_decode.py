@@ -1,6 +1,6 @@
 """Decode: speed of 12-megapixel frames, and error against run time of every way to a Stokes image.
 
-usage: python benchmarks/bench_decode.py [--captures DIR] [--megapixels 12] [--out benchmarks/results]
+usage: python benchmarks/bench_decode.py [--captures DIR] [--megapixels 12] [--no-speed] [--out benchmarks/results]
 
 Speed: frames of each kind are written once, then read and converted to Stokes by two threads (Mpx/s), and the whole
 decode stage is held against writing the same EXR files alone. Error: mosaics and stacks are made from captures with
@@ -38,8 +38,9 @@ def main() -> None:
     parser.add_argument("--megapixels", type=float, default=12.0)
     parser.add_argument("--frames", type=int, default=4)
     parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results")
+    parser.add_argument("--no-speed", action="store_true", help="errors alone")
     options = parser.parse_args()
-    result = {"speed": speed(options.megapixels, options.frames)}
+    result: dict = {} if options.no_speed else {"speed": speed(options.megapixels, options.frames)}
     if options.captures:
         result["error"] = errors(Path(options.captures))
         figure(result["error"], options.out / "decode_error.png")
