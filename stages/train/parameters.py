@@ -41,7 +41,6 @@ class TrainParameters:
     weight_mask: float = _p(0.4, "weight of the mask loss (lambda 2)")
     weight_depth_normal: float = _p(0.02, "weight of the agreement of normals with positions (lambda 3)")
     weight_smooth: float = _p(0.01, "weight of the smoothness of normals, albedo and material (lambda 4)")
-    weight_dssim: float = _p(0.0, "share of DSSIM in the radiance loss (0..1; the papers use 0.2)")
     weight_environment: float = _p(1.0, "weight of the environment's smoothness prior (relative)")
 
     def __post_init__(self) -> None:

@@ -17,7 +17,16 @@ from stages.train.trainer import CYCLE, Trainer
 
 from .conftest import AXES, IOR, moved
 
-SMALL = TrainParameters(iterations=300, max_splats=1200, hull_resolution=40, environment_resolution=16, occlusion=False)
+# A few hundred pixels a view say little of each normal: the priors weigh as they would for such a capture.
+SMALL = TrainParameters(
+    iterations=300,
+    max_splats=1200,
+    hull_resolution=40,
+    environment_resolution=16,
+    occlusion=False,
+    weight_smooth=0.1,
+    weight_depth_normal=0.2,
+)
 
 
 def trainer_of(sources, parameters=SMALL, mode="stokes", priors=None):
