@@ -31,21 +31,22 @@ class Surface:
 
 @dataclass(frozen=True)
 class ShadingModel:
-    """How training shaded (its lighting.json): relighting does the same."""
+    """How training shaded (its lighting.json), and how finely relighting samples the mirrored lobe (`shade`'s mirror)."""
 
     up: str = "y"
     fresnel: str = "exact"
     lobe: str = "ggx"
     occlusion: bool = False
+    mirror: str = "split"
 
     @classmethod
-    def read(cls, path: Path, up: str) -> ShadingModel:
-        """From lighting.json; what it does not say keeps its default."""
+    def read(cls, path: Path, up: str, mirror: str = "split") -> ShadingModel:
+        """From lighting.json; what it does not say keeps its default. Schlick's Fresnel term knows the split sum alone."""
         import json
 
         facts = json.loads(path.read_text()) if path.exists() else {}
         known = {k: facts[k] for k in ("fresnel", "lobe", "occlusion") if k in facts}
-        return cls(up=facts.get("up", up), **known)
+        return cls(up=facts.get("up", up), mirror=mirror if facts.get("fresnel") != "schlick" else "split", **known)
 
 
 class Lamp:
@@ -77,5 +78,6 @@ class Lamp:
                 self.light,
                 occlusion=occlusion,
                 fresnel=self.model.fresnel,
+                mirror=self.model.mirror,
             )
         return shaded.stokes.numpy()

@@ -19,6 +19,14 @@ class RelightParameters:
     occlusion: Literal["auto", "on", "off"] = field(
         default="auto", metadata={"help": "shadows and one bounce from the mesh; auto: where training modelled them"}
     )
+    mirror: Literal["split", "lobe-4", "lobe-12", "lobe-24", "lobe-48"] = field(
+        default="lobe-24",
+        metadata={"help": "mirrored light: facets summed over the lobe, or the split sum, which blurs alike in all directions"},
+    )
+    shadow_rays: Literal["vertex", "pixel"] = field(
+        default="vertex",
+        metadata={"help": "shadows from rays of the mesh's vertices, or of every pixel: sharper, seconds a view"},
+    )
     previews: bool = field(default=True, metadata={"help": "write a PNG beside every EXR"})
     turntable: int = field(default=0, metadata={"help": "frames of a turntable of the mesh under every map; 0: none (count)"})
     turntable_size: int = field(default=320, metadata={"help": "width and height of the turntable (px)"})
@@ -59,7 +67,7 @@ def run(run: StageRun) -> None:
 
 STAGE = Stage(
     name="relight",
-    version=1,
+    version=2,
     parameters=RelightParameters,
     needs=("decode", "poses", "masks", "olat", "train", "mesh"),
     needed=needed,

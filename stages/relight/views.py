@@ -69,35 +69,45 @@ def _grown(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 
 def relight_views(run: StageRun) -> None:
-    """Write ENV/VIEW.exr and .png for every view and map, and turntables when asked."""
+    """Write ENV/VIEW.exr and .png for every view and map, and turntables when asked.
+
+    Views are the outer loop: a view's G-buffer is read, and its rays are cast, once for all maps.
+    """
+    p = run.parameters
     train = run.inputs["train"]
     cameras = load_cameras(run.inputs["poses"] / "cameras.json")
     paths = {v: train / "gbuffer" / f"{v}.exr" for v in sorted(cameras)}
-    paths = {v: p for v, p in paths.items() if p.exists()}
+    paths = {v: q for v, q in paths.items() if q.exists()}
     if not paths:
         raise UserError(train / "gbuffer", "there are no G-buffers", "run the train stage again")
-    model = ShadingModel.read(train / "lighting.json", run.capture.up)
+    model = ShadingModel.read(train / "lighting.json", run.capture.up, p.mirror)
+    lamps = {path.stem: _lamp(run, path, model) for path in run.environments}
     occluder = _occluder(run, model)
+    lit = {name: occluder.under(lamp) for name, lamp in lamps.items()} if occluder else {}
     masks = run.inputs.get("masks")
-    with run.progress.bar("relighting", total=len(run.environments) * len(paths), unit="images") as bar:
-        for path in run.environments:
-            radiance, faults = read_map(path)
-            for fault in faults:
-                run.warn(fault)
-            lamp = Lamp(radiance, run.parameters.cube, model)
-            shadows = occluder.under(lamp) if occluder else None
-            for view, gbuffer in paths.items():
-                pixels = read_view(gbuffer, cameras[view], masks / f"{view}.png" if masks else None)
-                occlusion = occluder.at(view, pixels.surface, shadows) if occluder and shadows else None
+    with run.progress.bar("relighting", total=len(lamps) * len(paths), unit="images") as bar:
+        for view, gbuffer in paths.items():
+            pixels = read_view(gbuffer, cameras[view], masks / f"{view}.png" if masks else None)
+            attachment = occluder.attach(pixels.surface, p.shadow_rays == "pixel") if occluder else None
+            for name, lamp in lamps.items():
+                occlusion = occluder.at(attachment, lit[name]) if occluder and attachment else None
                 stokes = pixels.image(lamp.stokes(pixels.surface, occlusion))
-                write_stokes(run.output / path.stem / f"{view}.exr", stokes)
-                if run.parameters.previews:
-                    write_png(run.output / path.stem / f"{view}.png", srgb_encode(stokes[:, :, 0]))
+                write_stokes(run.output / name / f"{view}.exr", stokes)
+                if p.previews:
+                    write_png(run.output / name / f"{view}.png", srgb_encode(stokes[:, :, 0]))
                 bar.advance(1)
-            if run.parameters.turntable:
-                from .turntable import write_turntable
+    if p.turntable:
+        from .turntable import write_turntable
 
-                write_turntable(run, lamp, cameras, run.output / path.stem, occluder)
+        for name, lamp in lamps.items():
+            write_turntable(run, lamp, cameras, run.output / name, occluder)
+
+
+def _lamp(run: StageRun, path: Path, model: ShadingModel) -> Lamp:
+    radiance, faults = read_map(path)
+    for fault in faults:
+        run.warn(fault)
+    return Lamp(radiance, run.parameters.cube, model)
 
 
 def _occluder(run: StageRun, model: ShadingModel) -> SelfOcclusion | None:

@@ -138,8 +138,8 @@ def test_self_occlusion_darkens_the_bowl_and_brightens_nothing_by_much(relit):
     run = relit(occlusion=True)
     shadowed = read_stokes(run.output / "sky" / "v1.exr")[:, :, 0]
     assert run.facts["occlusion"]["run"] is True
-    assert shadowed.sum() < free.sum()  # bounces give back most of what is shadowed, never more
-    assert (shadowed < 0.8 * free).any()  # 0.72 was measured, with the occluder smoothed
+    assert shadowed.sum() < 0.99 * free.sum()  # bounces give back most of what is shadowed
+    assert (shadowed < 0.7 * free).any()
     assert (shadowed <= 1.3 * free + 0.02).all()
 
 
