@@ -25,14 +25,14 @@ from stages.olat.diffuse import fit_normal
 from stages.olat.fit import fit
 from stages.olat.lobe_fit import linear_albedo
 from stages.olat.pixel import FLAG, Settings, columns
-from stages.olat.run import CROSSED, CROSSED_FROM, GAIN, PRIOR
+from stages.olat.run import GAIN, MIXED, PRIOR
 from stages.olat.zoo import SOLVERS, applies, scaled, solve
 
 RESULTS = Path(__file__).parent / "results"
 AT = columns()
 SETTINGS = Settings(
     lobe=0, rounds=8, robust=2, steps=15, tolerance=3e-6, saturation=np.inf, specular_factor=2.0, irradiance=np.pi, gain=GAIN,
-    crossed=CROSSED, crossed_from=CROSSED_FROM, prior=PRIOR, plain=False, specular_fit=0, fuse_correlation=False,
+    mixed=MIXED, prior=PRIOR, plain=False, specular_fit=0, fuse_correlation=False,
     printed_maps=False, remove=False, gradient=False,
 )  # fmt: skip
 PUBLISHED = {  # PRF Table 3, RTX A6000: seconds a pixel, gradient norm
@@ -180,7 +180,7 @@ def table_ours(p: Pixels) -> dict[str, Cell]:
         rounded = {k: v.astype(np.float32) for k, v in found[name].items()}
         out[name] = Cell(seconds / count, gradient_norms(name, x, rounded))
     cross, parallel = p.cross.astype(np.float32), p.parallel.astype(np.float32)
-    free = SETTINGS._replace(prior=0.0, crossed=0.0)
+    free = SETTINGS._replace(prior=0.0, mixed=0.0)
     both, (_, norms) = timed(lambda: fit(cross, parallel, p.view, p.rig, free, threads=1))
     diffuse_only, _ = timed(lambda: fit(cross, cross, p.view, p.rig, free, threads=1))
     fitted = norms[:, 1] > 0

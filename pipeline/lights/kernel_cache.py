@@ -22,7 +22,9 @@ def keep_fresh() -> None:
     digest = hashlib.sha256()
     for folder in FOLDERS:
         for path in sorted((ROOT / folder).glob("*.py")):
-            digest.update(path.read_bytes())
+            source = path.read_bytes()
+            if b"@njit" in source:
+                digest.update(source)
     target = Path(__file__).parent / "__pycache__" / f"kernels-{digest.hexdigest()[:12]}"
     try:
         target.mkdir(parents=True, exist_ok=True)

@@ -9,7 +9,7 @@ from numba import njit
 
 from pipeline.lights.lobes import values
 from pipeline.lights.numerics import FAST, ZERO, copy1, copy2
-from stages.olat.crossed import crossed_values, fit_crossed, shape_of
+from stages.olat.mixed import DIRECTIONS, concentration, fit_mixed, shape_of
 from stages.olat.specular import (
     LOBE_FRACTION,
     frame_about,
@@ -23,7 +23,8 @@ RELATIVE = np.float32(0.2)  # of a sample: model error at which the robust weigh
 ABSOLUTE = 0.02  # of the brightest sample: the same for dim samples
 ROUND = 0.03  # anisotropy below which a lobe counts as round
 DISAGREE = math.cos(math.radians(3.0))  # of n_s and n_d: further apart, n_d is tried as a start
-CROSSED_MISFIT = 0.05**2  # of the samples' square norm: a lobe that misses more may be two
+MIXED_MISFIT = 0.05**2  # of the samples' square norm: a lobe that misses more may be several
+UNSURE = 0.1**2  # of the weighted square norm: a lobe or a mixture that misses more has no tangent
 ROUND_STEPS = 3  # Levenberg-Marquardt steps between two reweightings
 
 
@@ -36,7 +37,7 @@ def fit_lobe(
     half, incident [3, N], light, floor, use, area (sr), cosine (h·o) [N]: the lights before the surface; weight, g [N]:
     workspace, left with the final weights and the lobe's values; top, noise: brightest sample and deviation; prior: strength of
     the tie to n_d where `solved`, negative where n_d is simply given.
-    Returns (gradient norm, passes, share of the stronger of two crossed lobes: 1 where one lobe is kept).
+    Returns (gradient norm, passes, order of the tangents: 1 where one lobe is kept, less where they mix).
     """
     kind = light.dtype.type
     absolute = kind(ABSOLUTE * top + 3 * noise)
@@ -79,33 +80,29 @@ def fit_lobe(
     values(settings.lobe, frame, shape, o, half, incident, g)
     large, small, angle = widths(shape)
     miss, data = _misfit(g, kind(rho[0]), light, floor, use)
-    share = 1.0
-    if (
-        settings.crossed > 0
-        and prior >= 0
-        and miss > CROSSED_MISFIT * data
-        and (large - small) > settings.crossed_from * (large + small)
-    ):
-        x = np.empty(6)
+    order = 1.0
+    if settings.mixed > 0 and prior >= 0 and miss > MIXED_MISFIT * data + 2 * light.size * noise * noise:
+        x = np.empty(3 + DIRECTIONS)
         copy2(frame, frame2)
-        tie = prior * miss / max(float(light.size), 1.0) * (1.0 + 100.0 * miss / data) if stiff else 0.0
-        _, more = fit_crossed(settings.lobe, frame2, x, large, small, angle, rho[0], o, half, incident, light, floor, use, tie,
-                              n_d,                               settings.tolerance)  # fmt: skip
+        cost = reweight(g, kind(rho[0]), light, use, absolute, RELATIVE, weight)
+        tie = _stiffness(prior, g, kind(rho[0]), light, use, weight) if stiff else 0.0
+        trial, trial_weight = np.empty_like(g), np.empty_like(g)
+        other, more = fit_mixed(settings.lobe, frame2, x, large, small, angle, rho[0], o, half, incident, light, floor, use,
+                                absolute, RELATIVE, tie, n_d, settings.tolerance, settings.mixed * cost, trial_weight, trial)  # fmt: skip
         passes += more
-        crossed_values(settings.lobe, frame2, x, o, half, incident, weight)
-        other, _ = _misfit(weight, kind(1.0), light, floor, use)
-        if other < settings.crossed * miss and x[4] + x[5] > 0:
-            first = 0 if x[4] >= x[5] else 1
-            slope = np.empty((3, 3))
-            rho[0] = x[4] + x[5]
+        total, angle, order2 = concentration(x)
+        if other < settings.mixed * cost and total > 0:
+            slope = np.empty((2, 3))
+            rho[0], order = total, order2
             copy2(frame2, frame)
-            shape_of(x[0], x[1], x[2 + first], shape, slope)
-            share = x[4 + first] / rho[0]
+            shape_of(x[0], x[1], angle, shape, slope)
             for k in range(light.size):
-                g[k] = weight[k] / kind(rho[0])
-        for k in range(light.size):
-            weight[k] = use[k]
-    return norm, passes, share
+                g[k] = trial[k] / kind(total)
+            copy1(trial_weight, weight)
+        miss, data = _misfit(g, kind(rho[0]), light, floor, weight)
+        if miss > UNSURE * data:  # what is left is as large as what tells the directions apart
+            order = 0.0
+    return norm, passes, order
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")

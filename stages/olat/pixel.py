@@ -29,7 +29,7 @@ BAD_SHARE = 0.1  # of a pixel's samples that may be not finite before the pixel 
 NOISE_FLOOR = 1e-3  # of the brightest sample: half floats are this coarse
 FIXED = -1.0  # tie of a normal that is not to move
 UNKNOWN = 1e6  # variance (rad²) of a normal that was not measured
-ONE_WAY = 0.7  # of the light in one of two crossed lobes: below it the pixel has no one tangent
+ONE_WAY = 0.75  # order of a pixel's tangents below which it has no one tangent
 LIT_LIGHTS = 4  # three determine a normal and its albedo exactly; only a fourth can contradict them
 EFFECTIVE_LIGHTS = 3.0  # a lobe seen by fewer has no width
 
@@ -87,8 +87,7 @@ class Settings(NamedTuple):
     specular_factor: float
     irradiance: float
     gain: float  # share of the round lobe's robust cost that an anisotropic one must beat
-    crossed: float  # share of one lobe's misfit that two crossed lobes must beat (0: never tried)
-    crossed_from: float  # anisotropy of the single lobe from which they are tried
+    mixed: float  # share of one lobe's robust cost that mixed tangents must beat (0: never tried)
     prior: float  # strength of the tie of n_s to n_d: inverse square of the angle (rad) they may differ by
     plain: bool  # diffuse fit without robust weights (PRF Eq. 12)
     specular_fit: int  # how n_s is found, `paper.SPECULAR_FITS`
@@ -464,7 +463,7 @@ def _specular(n, w, o, area, settings, n_d, solved, top_d, room, out):
     if settings.specular_fit != JOINT:
         tie, tied, solved = FIXED, (x, y, z), False
     frame_about(x, y, z, frame)
-    flag, norm, passes, share = GOOD, 0.0, 0, 1.0
+    flag, norm, passes, order = GOOD, 0.0, 0, 1.0
     if clipped > 0.5 * whole:
         flag = SATURATED
     if whole * whole < EFFECTIVE_LIGHTS * squares:  # too narrow for the rig, or all but hidden: half vectors, moments, no fit
@@ -476,9 +475,9 @@ def _specular(n, w, o, area, settings, n_d, solved, top_d, room, out):
         for j in range(n):
             weight[j] = use[j]
     else:
-        norm, passes, share = fit_lobe(settings, o, tied, tie, solved, half, incident, light, floor, use, areas, cosine, weight,
+        norm, passes, order = fit_lobe(settings, o, tied, tie, solved, half, incident, light, floor, use, areas, cosine, weight,
                                        g, top, noise, frame, shape, rho)  # fmt: skip
-    rho[0] = linear_albedo(g, light, weight, floor) if share == 1.0 else rho[0]
+    rho[0] = linear_albedo(g, light, weight, floor) if order == 1.0 else rho[0]
     large, small, angle = widths(shape)
     if not (math.isfinite(large) and math.isfinite(small) and math.isfinite(rho[0]) and math.isfinite(frame[2, 0])):
         return nothing
@@ -488,7 +487,7 @@ def _specular(n, w, o, area, settings, n_d, solved, top_d, room, out):
     out[SIGMA], out[SIGMA + 1] = large, small
     out[ROUGHNESS] = (large * small) ** 0.25
     out[ANISOTROPY] = (large - small) / (large + small)
-    if out[ANISOTROPY] > ROUND and share > ONE_WAY:
+    if out[ANISOTROPY] > ROUND and order > ONE_WAY:
         for k in range(3):
             out[TANGENT + k] = math.cos(angle) * frame[0, k] + math.sin(angle) * frame[1, k]
     n_s = (frame[2, 0], frame[2, 1], frame[2, 2])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -22,7 +23,8 @@ from pipeline.lights.solid_angles import solid_angles
 from pipeline.stage import StageRun
 from stages.olat.drift import WARN_PX, Drift
 from stages.olat.fit import fit
-from stages.olat.frames import Band, bands_of, is_half, read_bands
+from stages.olat.footprint import with_neighbours
+from stages.olat.frames import Band, Samples, bands_of, is_half, read_bands
 from stages.olat.maps_out import MapWriter
 from stages.olat.paper import SPECULAR_FITS
 from stages.olat.pixel import FLAG, RESIDUAL, Settings, columns
@@ -32,9 +34,8 @@ from stages.olat.stage import OlatParameters, every
 FLAGS = ("good", "too few lights", "saturated", "black", "no lobe", "bad samples")
 PRIOR = (1 / np.radians(0.5)) ** 2  # n_s and n_d of one surface agree to about half a degree
 GAIN = 0.9
-CROSSED = 0.7
-CROSSED_FROM = 0.15
-PILOT = 1200  # pixels on which the lobe is chosen
+MIXED = 1.0
+PILOT = 600  # pixels on which the lobe is chosen
 LEAST_LIGHT = 0.05
 TOLERANCE = {"float32": 3e-6, "float64": 1e-12}
 
@@ -94,8 +95,8 @@ def settings_of(parameters: OlatParameters, config: Any, saturation: float) -> S
     lobe = LOBES["ward" if parameters.lobe == "auto" else parameters.lobe]
     return Settings(
         lobe=lobe, rounds=8, robust=2, steps=15, tolerance=TOLERANCE[parameters.precision], saturation=saturation,
-        specular_factor=config.specular_factor, irradiance=config.irradiance, gain=GAIN, crossed=CROSSED,
-        crossed_from=CROSSED_FROM, prior=PRIOR, plain=parameters.diffuse_fit == "active-set",
+        specular_factor=config.specular_factor, irradiance=config.irradiance, gain=GAIN, mixed=MIXED,
+        prior=PRIOR, plain=parameters.diffuse_fit == "active-set",
         specular_fit=SPECULAR_FITS[parameters.specular_fit], fuse_correlation=parameters.fusion == "correlation",
         printed_maps=parameters.maps == "printed", remove=parameters.overexposure == "remove",
         gradient=parameters.solver == "gradient",
@@ -115,7 +116,7 @@ def choose_lobe(stage: StageRun, job: CameraJob, rig: LightTable, settings: Sett
     points = nearest_points(job.camera, view) if stage.capture.config.olat.near_light else None
     found = {}
     for name in ("ward", "beckmann"):
-        trial = settings._replace(lobe=LOBES[name], crossed=0.0)
+        trial = settings._replace(lobe=LOBES[name])
         rows, _ = fit(samples.cross, samples.parallel, view, rig, trial, parameters.precision, points)
         found[name] = rows
     sound = (found["ward"][:, FLAG] == 0) & (found["beckmann"][:, FLAG] == 0)
@@ -154,26 +155,26 @@ def fit_camera(stage: StageRun, job: CameraJob, rig: LightTable, settings: Setti
     parameters: OlatParameters = stage.parameters
     half, bands = frames_plan(job, rig, parameters)
     view = -job.camera.rays().reshape(-1, 3)
-    counts, drift = np.zeros(len(FLAGS), int), Drift(job.camera.width, job.camera.height)
+    counts, drift, directed = np.zeros(len(FLAGS), int), Drift(job.camera.width, job.camera.height), 0
     with (
         stage.progress.bar(f"fitting {job.name}", int(job.mask.sum()), "px") as bar,
         MapWriter(stage.output / job.name, job.camera.width, job.camera.height) as writer,
     ):
-        for samples in read_bands(job.cross, job.parallel, bands, half):
-            pixels = samples.band.pixels
-            near = stage.capture.config.olat.near_light
-            points = nearest_points(job.camera, view[pixels]) if near else None
-            rows, _ = fit(samples.cross, samples.parallel, view[pixels], rig, settings, parameters.precision, points, threads)
-            drift.add(samples)
-            if parameters.solver not in ("closed", "gradient"):
-                from stages.olat.paper_chain import solve_band
 
-                solve_band(parameters.solver, samples.cross, samples.parallel, view[pixels], rig, settings, rows)
+        def fitted() -> Iterator[tuple[Band, NDArray[np.float64]]]:
+            for samples in read_bands(job.cross, job.parallel, bands, half):
+                drift.add(samples)
+                rows = fit_band(stage, job, samples, view[samples.band.pixels], rig, settings, threads)
+                bar.advance(len(rows))
+                yield samples.band, rows
+
+        surface = parameters.widths == "surface" and not settings.gradient
+        for band, rows in with_neighbours(fitted(), job.camera.width) if surface else fitted():
             if parameters.albedo_over_occlusion:
                 divide_by_occlusion(rows)
             counts += np.bincount(rows[:, FLAG].astype(int), minlength=len(FLAGS))
-            writer.write(samples.band, rows)
-            bar.advance(len(pixels))
+            directed += int(np.count_nonzero(rows[:, columns()["tangent"]].any(1)))
+            writer.write(band, rows)
     write_preview(stage.output / job.name / "preview.png", writer.preview)
     right, down = drift.shift()
     stage.note(f"{job.name}.drift_px", [round(right, 2), round(down, 2)])
@@ -182,7 +183,23 @@ def fit_camera(stage: StageRun, job: CameraJob, rig: LightTable, settings: Setti
             f"{job.name}: the parallel pass lies {right:+.1f} px right and {down:+.1f} px down of the crossed one; "
             "specular maps will show edges there: align the frames before, or capture again with the object fixed"
         )
+    stage.note(f"{job.name}.tangent_pixels", directed)
     stage.note(f"{job.name}.flags", {name: int(n) for name, n in zip(FLAGS, counts) if n})
+
+
+def fit_band(
+    stage: StageRun, job: CameraJob, samples: Samples, view: NDArray[np.float64], rig: LightTable, settings: Settings,
+    threads: int | None,
+) -> NDArray[np.float64]:  # fmt: skip
+    """Rows [P, WIDTH] of one band; view [P, 3]: unit, to the camera."""
+    parameters: OlatParameters = stage.parameters
+    points = nearest_points(job.camera, view) if stage.capture.config.olat.near_light else None
+    rows, _ = fit(samples.cross, samples.parallel, view, rig, settings, parameters.precision, points, threads)
+    if parameters.solver not in ("closed", "gradient"):
+        from stages.olat.paper_chain import solve_band
+
+        solve_band(parameters.solver, samples.cross, samples.parallel, view, rig, settings, rows)
+    return rows
 
 
 def nearest_points(camera: Camera, view: NDArray[np.float64]) -> NDArray[np.float64]:

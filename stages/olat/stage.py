@@ -44,6 +44,9 @@ class OlatParameters:
     maps: Literal["normalised", "printed"] = field(
         default="normalised", metadata={"help": "occlusion and inter-reflection by solid angles; printed: PRF Eqs. 4 and 5"}
     )
+    widths: Literal["surface", "pixel"] = field(
+        default="surface", metadata={"help": "sigma: surface, without the spread of normals within a pixel; pixel, with it"}
+    )
     albedo_over_occlusion: bool = field(default=False, metadata={"help": "divide the albedos by the occlusion maps (noisy)"})
     lights: str = field(default="all", metadata={"help": "all, or every=k: each k-th light"})
     precision: Literal["float32", "float64"] = field(default="float32", metadata={"help": "arithmetic of the fits"})
@@ -102,7 +105,7 @@ def run(stage: StageRun) -> None:
 
 STAGE = Stage(
     name="olat",
-    version=1,
+    version=2,
     parameters=OlatParameters,
     needs=("decode", "masks"),
     needed=needed,
