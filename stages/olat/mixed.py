@@ -18,10 +18,9 @@ from stages.olat.specular import hold, reweight, tilt, weighted_square
 
 DIRECTIONS = 8  # 22.5 degrees apart: a quarter more than needed to tell widths of 3 to 1 (6 were measured to do)
 SIZE = 4 + DIRECTIONS
-STEPS = 25  # Levenberg-Marquardt steps between two reweightings
-ROUNDS = 3
+STEPS = 12
+ROUNDS = 2
 REACH = 3.2  # widths of one lobe: beyond it the mixture is under 4e-5 of its peak
-HOPELESS = 1.1  # times the cost to beat after the first round: reweighting wins no more than a tenth
 LOG_MIN, LOG_MAX = math.log(0.01), math.log(2.0)
 
 
@@ -149,7 +148,7 @@ def _optimise(lobe, frame, x, o, h, i, light, floor, weight, prior, n_d, toleran
             copy2(matrix2, matrix)
             copy1(x2, x)
             copy1(gradient2, gradient)
-            done = cost - cost2 < 1e-7 * cost
+            done = cost - cost2 < 1e-4 * cost
             cost = cost2
             damping = damping * 0.2 if damping > 1e-9 else 0.0
             if done:
@@ -200,8 +199,8 @@ def fit_mixed(lobe, frame, x, large, small, angle, rho, o, h, i, light, floor, u
               limit, weight, g):  # fmt: skip
     """Fit the mixture from one lobe (large, small, angle, rho), in place on (frame, x [3 + DIRECTIONS]).
 
-    weight, g [N] are left with the robust weights and the mixture's values. Ends early when the first round's cost stays far
-    above `limit`, the cost to beat. Returns (robust cost, passes).
+    weight, g [N] are left with the robust weights and the mixture's values. Ends early when the first round does not
+    reach `limit`, the cost to beat. Returns (robust cost, passes).
     """
     kind = light.dtype.type
     near = _pack(frame, REACH * large, h, i, light, floor, use)
@@ -221,7 +220,7 @@ def fit_mixed(lobe, frame, x, large, small, angle, rho, o, h, i, light, floor, u
         if turn == 0 or turn == ROUNDS - 1:
             mixed_values(lobe, frame, x, o, h, i, weight, g)
             cost = reweight(g, kind(1.0), light, use, absolute, relative, weight)
-            if cost > HOPELESS * limit:
+            if cost > limit:
                 break
     if x[1] > x[0]:  # the widths have changed places
         x[0], x[1] = x[1], x[0]

@@ -133,7 +133,7 @@ def test_threads_do_not_change_a_bit():
 
 def test_tangents_that_cross_in_one_pixel_keep_the_widths():
     a = make(150, lobe="beckmann", sigma=(0.35, 0.12), seed=11, tilt_deg=40)
-    turned = np.cos(0.9) * a.tangent + np.sin(0.9) * np.cross(a.normal, a.tangent)
+    turned = np.cos(1.2) * a.tangent + np.sin(1.2) * np.cross(a.normal, a.tangent)
     b = make(150, lobe="beckmann", sigma=(0.35, 0.12), seed=11, tilt_deg=40)
     h = unit(a.rig.directions[:, None] + a.view)
     no = np.sum(a.normal * a.view, -1)
