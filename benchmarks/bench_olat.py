@@ -21,11 +21,12 @@ import numpy as np
 from benchmarks.olat_pixels import Pixels, angle_deg, make, rig_of
 from pipeline.lights.solid_angles import solid_angles
 from pipeline.lights.tables import table_from_positions
+from stages.olat.columns import FLAG, columns
 from stages.olat.diffuse import fit_normal
 from stages.olat.fit import fit
 from stages.olat.lobe_fit import linear_albedo
-from stages.olat.pixel import FLAG, Settings, columns
 from stages.olat.run import GAIN, MIXED, PRIOR
+from stages.olat.workspace import Settings
 from stages.olat.zoo import SOLVERS, applies, scaled, solve
 
 RESULTS = Path(__file__).parent / "results"

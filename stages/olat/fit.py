@@ -14,7 +14,9 @@ import numpy as np
 from numba import njit, types
 from numba.extending import overload
 
-from stages.olat.pixel import WIDTH, Settings, fit_pixel, make_room
+from stages.olat.columns import WIDTH
+from stages.olat.pixel import fit_pixel
+from stages.olat.workspace import Settings, make_room
 
 CHUNK = 16  # pixels: 96 contiguous bytes of a half-float frame, and a chunk's samples stay in the L2 cache
 SHARE = 256  # pixels that a thread takes at a time

@@ -11,8 +11,8 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.olat.columns import columns
 from stages.olat.frames import Band
-from stages.olat.pixel import columns
 
 LEAST = 0.25  # of a pixel's squared width that the surface keeps: the spread is an estimate of its own
 EDGE = np.cos(np.radians(45.0))  # neighbours that differ more are another surface

@@ -88,7 +88,8 @@ def fit_lobe(
         tie = _stiffness(prior, g, kind(rho[0]), light, use, weight) if stiff else 0.0
         trial, trial_weight = np.empty_like(g), np.empty_like(g)
         other, more = fit_mixed(settings.lobe, frame2, x, large, small, angle, rho[0], o, half, incident, light, floor, use,
-                                absolute, RELATIVE, tie, n_d, settings.tolerance, settings.mixed * cost, trial_weight, trial)  # fmt: skip
+                                absolute, RELATIVE, tie, n_d, settings.tolerance, settings.mixed * cost, trial_weight,
+                                trial)  # fmt: skip
         passes += more
         total, angle, order2 = concentration(x)
         if other < settings.mixed * cost and total > 0:

@@ -182,7 +182,7 @@ def _pack(frame, reach, h, i, light, floor, use):
     chosen = np.empty(light.size, np.int64)
     for k in range(light.size):
         z = h[0][k] * frame[2, 0] + h[1][k] * frame[2, 1] + h[2][k] * frame[2, 2]
-        if use[k] > 0 and z > 0 and 1.0 < z * z * (1.0 + reach * reach):
+        if use[k] > 0 and z > 0 and z * z * (1.0 + reach * reach) > 1.0:
             chosen[count] = k
             count += 1
     out = np.empty((9, count), light.dtype)

@@ -6,8 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.capture.model import LightTable
+from stages.olat.columns import columns
 from stages.olat.fit import half_table
-from stages.olat.pixel import Settings, columns
+from stages.olat.workspace import Settings
 from stages.olat.zoo import applies, scaled, solve
 
 FALLBACK = "lbfgs-backtracking"  # where Gauss-Newton does not apply (PRF's own choice for normals)

@@ -3,13 +3,31 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
 from pipeline.lights.lobes import values
-from pipeline.lights.numerics import FAST, HALF, ONE, ZERO
+from pipeline.lights.numerics import FAST, ONE, ZERO
+from stages.olat.columns import (
+    ALBEDO_D,
+    ALBEDO_S,
+    ANISOTROPY,
+    BAD_SAMPLES,
+    BLACK,
+    FLAG,
+    GOOD,
+    NO_LOBE,
+    NORMAL,
+    NORMAL_D,
+    NORMAL_S,
+    RESIDUAL,
+    ROUGHNESS,
+    SATURATED,
+    SIGMA,
+    TANGENT,
+    TOO_FEW,
+)
 from stages.olat.diffuse import fit_normal
 from stages.olat.lobe_fit import ROUND, fit_lobe, linear_albedo, round_start
 from stages.olat.paper import (
@@ -22,9 +40,10 @@ from stages.olat.paper import (
     remove_overexposure,
     total,
 )
+from stages.olat.separation import separate
 from stages.olat.specular import LOBE_FRACTION, SIGMA_MAX, frame_about, half_vectors, start_normal, widths
+from stages.olat.visibility import behind, diffuse_maps, printed_maps, specular_maps
 
-GOOD, TOO_FEW, SATURATED, BLACK, NO_LOBE, BAD_SAMPLES = range(6)
 BAD_SHARE = 0.1  # of a pixel's samples that may be not finite before the pixel is flagged
 NOISE_FLOOR = 1e-3  # of the brightest sample: half floats are this coarse
 FIXED = -1.0  # tie of a normal that is not to move
@@ -32,141 +51,6 @@ UNKNOWN = 1e6  # variance (rad²) of a normal that was not measured
 ONE_WAY = 0.75  # order of a pixel's tangents below which it has no one tangent
 LIT_LIGHTS = 4  # three determine a normal and its albedo exactly; only a fourth can contradict them
 EFFECTIVE_LIGHTS = 3.0  # a lobe seen by fewer has no width
-
-MAPS = {
-    "diffuse_albedo": ("R", "G", "B"),
-    "specular_albedo": ("Y",),
-    "diffuse_normal": ("X", "Y", "Z"),
-    "specular_normal": ("X", "Y", "Z"),
-    "normal": ("X", "Y", "Z"),
-    "tangent": ("X", "Y", "Z"),
-    "sigma": ("X", "Y"),
-    "roughness": ("Y",),
-    "anisotropy": ("Y",),
-    "occlusion_d": ("Y",),
-    "occlusion_s": ("Y",),
-    "visibility_d": ("Y",),
-    "visibility_s": ("Y",),
-    "interreflection_d": ("R", "G", "B"),
-    "interreflection_s": ("Y",),
-    "residual": ("Y", "flag"),
-}
-"""Maps of one camera and their channels, in the order of a pixel's row of results."""
-
-
-def columns() -> dict[str, slice]:
-    """Where each map lies in a pixel's row."""
-    out, at = {}, 0
-    for name, channels in MAPS.items():
-        out[name] = slice(at, at + len(channels))
-        at += len(channels)
-    return out
-
-
-_AT = {name: place.start for name, place in columns().items()}
-ALBEDO_D, ALBEDO_S, NORMAL_D, NORMAL_S = (
-    _AT[n] for n in ("diffuse_albedo", "specular_albedo", "diffuse_normal", "specular_normal")
-)
-NORMAL, TANGENT, SIGMA, ROUGHNESS = (_AT[n] for n in ("normal", "tangent", "sigma", "roughness"))
-ANISOTROPY, OCCLUSION_D, OCCLUSION_S = (_AT[n] for n in ("anisotropy", "occlusion_d", "occlusion_s"))
-VISIBILITY_D, VISIBILITY_S = _AT["visibility_d"], _AT["visibility_s"]
-INTER_D, INTER_S, RESIDUAL = (_AT[n] for n in ("interreflection_d", "interreflection_s", "residual"))
-FLAG = RESIDUAL + 1
-WIDTH = FLAG + 1
-
-
-class Settings(NamedTuple):
-    """What the kernels need to know; plain numbers, so that numba can take it."""
-
-    lobe: int
-    rounds: int  # reweighting rounds of the diffuse fit
-    robust: int  # reweighting rounds of the specular fit
-    steps: int  # Levenberg-Marquardt steps at the end
-    tolerance: float  # gradient norm, data of unit norm, at which a fit ends
-    saturation: float  # radiance from which a sample is clipped (inf: none is)
-    specular_factor: float
-    irradiance: float
-    gain: float  # share of the round lobe's robust cost that an anisotropic one must beat
-    mixed: float  # share of one lobe's robust cost that mixed tangents must beat (0: never tried)
-    prior: float  # strength of the tie of n_s to n_d: inverse square of the angle (rad) they may differ by
-    plain: bool  # diffuse fit without robust weights (PRF Eq. 12)
-    specular_fit: int  # how n_s is found, `paper.SPECULAR_FITS`
-    fuse_correlation: bool  # fuse the normals by correlation (PRF) instead of inverse variance
-    printed_maps: bool  # occlusion and inter-reflection as PRF Eqs. 4 and 5 print them
-    remove: bool  # clipped samples by PRF Algorithm 1 instead of as bounds
-    gradient: bool  # gradient illumination alone (Ma et al. 2007)
-
-
-class Room(NamedTuple):
-    """Workspace of one thread for pixels with N lights."""
-
-    rgb: np.ndarray  # [3, N] I_d in albedo units
-    diffuse: np.ndarray  # [N] their mean
-    specular: np.ndarray  # [N] I_s per unit irradiance
-    ok: np.ndarray
-    use: np.ndarray
-    floor: np.ndarray
-    weight: np.ndarray
-    work: np.ndarray
-    scratch: np.ndarray
-    front: np.ndarray  # [N] indices of the lights before the surface
-    light: np.ndarray  # [N] and below: the same lights' samples, packed
-    area: np.ndarray
-    cosine: np.ndarray
-    seen: np.ndarray
-    bound: np.ndarray
-    lobe: np.ndarray
-    incident: np.ndarray  # [3, N]
-    half: np.ndarray  # [3, N]
-
-
-@njit(cache=True, error_model="numpy")
-def make_room(n, like):
-    """Workspace for `n` lights in the precision of the array `like`."""
-    one = np.zeros((14, n), like.dtype)
-    return Room(
-        np.zeros((3, n), like.dtype), one[0], one[1], one[2], one[3], one[4], one[5], one[6], one[7],
-        np.zeros(n, np.int64), one[8], one[9], one[10], one[11], one[12], one[13],
-        np.zeros((3, n), like.dtype), np.zeros((3, n), like.dtype),
-    )  # fmt: skip
-
-
-@njit(cache=True, fastmath=FAST, error_model="numpy")
-def separate(cross, parallel, energy, settings, level, room):
-    """I_d = 2 I_x and I_s = f (I_p - I_x) per unit of irradiance; marks samples that are not finite or clipped.
-
-    cross, parallel [3, N]. Returns (samples that are bad, clipped, brightest diffuse, brightest specular).
-    """
-    kind = energy.dtype.type
-    scale_d = kind(2.0 * math.pi / settings.irradiance)
-    scale_s = kind(settings.specular_factor / (3.0 * settings.irradiance))
-    third = kind(1.0 / 3.0)
-    bad = clipped = 0
-    top_d = top_s = ZERO * energy[0]
-    for k in range(energy.size):
-        r, g, b = cross[0, k], cross[1, k], cross[2, k]
-        x, y, z = parallel[0, k], parallel[1, k], parallel[2, k]
-        total = r + g + b + x + y + z
-        fine = abs(total) < kind(1e30)  # false for NaN and Inf
-        clip_x = max(r, g, b) >= level
-        clip_p = max(x, y, z) >= level
-        e = ONE / energy[k] if fine else ZERO
-        if not fine:
-            r = g = b = x = y = z = ZERO
-            bad += 1
-        if clip_x or clip_p:
-            clipped += 1
-        d = scale_d * e
-        room.rgb[0, k], room.rgb[1, k], room.rgb[2, k] = d * r, d * g, d * b
-        mean = d * (r + g + b) * third
-        room.diffuse[k] = mean
-        s = scale_s * e * (x + y + z - r - g - b)
-        room.specular[k] = s
-        room.ok[k] = ONE if fine and not clip_x else ZERO
-        room.floor[k] = ONE if clip_p else ZERO
-        top_d = max(top_d, mean if fine else ZERO)
-        top_s = max(top_s, s)
-    return bad, clipped, top_d, top_s
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
@@ -184,105 +68,6 @@ def _albedo(rgb, diffuse, wx, wy, wz, nx, ny, nz, weight, out):
         out[0], out[1], out[2] = r / den, g / den, b / den
     else:
         out[0] = out[1] = out[2] = ZERO
-
-
-@njit(cache=True, fastmath=FAST, error_model="numpy")
-def _behind(light, ok, wx, wy, wz, nx, ny, nz):
-    """Root mean square of the samples whose light is behind the surface: noise and inter-reflection."""
-    s = n = ZERO * nx
-    for k in range(light.size):
-        p = nx * wx[k] + ny * wy[k] + nz * wz[k]
-        w = ok[k] if p < -HALF * HALF else ZERO
-        s += w * light[k] * light[k]
-        n += w
-    return math.sqrt(s / n) if n > ZERO else ZERO
-
-
-@njit(cache=True, error_model="numpy")
-def _diffuse_maps(room, w, area, nx, ny, nz, albedo, zeta, out):
-    """Visibility, occlusion (Eq. 5, normalised by the rig's own unoccluded sum), inter-reflection (Eq. 4)."""
-    seen = front = lit = whole = 0.0
-    r = g = b = 0.0
-    square = data = 0.0
-    for k in range(area.size):
-        p = nx * w[0, k] + ny * w[1, k] + nz * w[2, k]
-        v = room.diffuse[k]
-        if p > 0:
-            front += 1
-            whole += p * area[k]
-            visible = v > 0.5 * albedo * p or albedo * p < 2 * zeta
-            if room.ok[k] == 0:  # clipped: surely lit; not finite: unknown, counted as lit
-                visible = True
-            room.use[k] = ONE if visible else ZERO
-            if visible:
-                seen += 1
-                lit += p * area[k]
-                if room.ok[k] > 0:
-                    square += (v - albedo * p) ** 2
-                    data += v * v
-        else:
-            room.use[k] = ZERO
-            if room.ok[k] > 0 and v > zeta:
-                e = -p * area[k] / math.pi
-                r += e * room.rgb[0, k]
-                g += e * room.rgb[1, k]
-                b += e * room.rgb[2, k]
-    out[VISIBILITY_D] = seen / front if front > 0 else 0.0
-    out[OCCLUSION_D] = lit / whole if whole > 0 else 0.0
-    out[INTER_D], out[INTER_D + 1], out[INTER_D + 2] = max(r, 0.0), max(g, 0.0), max(b, 0.0)
-    return square, data
-
-
-@njit(cache=True, error_model="numpy")
-def _specular_maps(room, n, g, rho, zeta, all_area, w, nx, ny, nz, out):
-    """Share of the lobe's lights and energy that arrives, and what arrives from behind; returns residual sums."""
-    seen = expected = lit = whole = 0.0
-    square = data = 0.0
-    for k in range(n):
-        p, v = rho * g[k], room.light[k]
-        whole += p * room.area[k]
-        arrives = v > 0.5 * p or p < 2 * zeta
-        if arrives:
-            lit += p * room.area[k]
-        if p > 2 * zeta:
-            expected += 1
-            seen += 1 if arrives else 0
-        if room.seen[k] > 0 and not (room.bound[k] > 0 and p > v):
-            square += (v - p) ** 2
-            data += v * v
-    out[VISIBILITY_S] = seen / expected if expected > 0 else 0.0
-    out[OCCLUSION_S] = lit / whole if whole > 0 else 0.0
-    s = 0.0
-    for k in range(all_area.size):
-        p = nx * w[0, k] + ny * w[1, k] + nz * w[2, k]
-        if p < 0 and room.ok[k] > 0 and room.specular[k] > zeta:
-            s -= p * all_area[k] * room.specular[k]
-    out[INTER_S] = max(s, 0.0)
-    return square, data
-
-
-@njit(cache=True, error_model="numpy")
-def _printed_maps(light, room, w, n, zeta, out, specular):
-    """PRF Eqs. 4 and 5 as printed: every light counts alike, 4/N normalises, `I > zeta` is visible."""
-    lit = seen = front = r = g = b = 0.0
-    for k in range(light.size):
-        p = n[0] * w[0, k] + n[1] * w[1, k] + n[2] * w[2, k]
-        arrives = light[k] > zeta and room.ok[k] > 0
-        if p > 0:
-            front += 1
-            if arrives:
-                seen += 1
-                lit += p
-        elif arrives:
-            r -= p * (light[k] if specular else room.rgb[0, k])
-            g -= p * room.rgb[1, k]
-            b -= p * room.rgb[2, k]
-    visible = seen / front if front > 0 else 0.0
-    if specular:
-        out[OCCLUSION_S], out[VISIBILITY_S], out[INTER_S] = 4 * lit / light.size, visible, max(r, 0.0)
-    else:
-        out[OCCLUSION_D], out[VISIBILITY_D] = 4 * lit / light.size, visible
-        out[INTER_D], out[INTER_D + 1], out[INTER_D + 2] = max(r, 0.0), max(g, 0.0), max(b, 0.0)
 
 
 @njit(cache=True, error_model="numpy")
@@ -357,10 +142,10 @@ def fit_pixel(cross, parallel, w, o, area, energy, settings, room, out):
         if lit < LIT_LIGHTS and flag == GOOD:
             flag = TOO_FEW  # solved, but with nothing to spare
         variance_d = (scale / size) ** 2 * 3.0 / max(in_use, 1.0)
-        zeta = 2 * _behind(room.diffuse, room.ok, w[0], w[1], w[2], nx, ny, nz) + NOISE_FLOOR * top_d
-        square_d, data_d = _diffuse_maps(room, w, area, n_d[0], n_d[1], n_d[2], size, zeta, out)
+        zeta = 2 * behind(room.diffuse, room.ok, w[0], w[1], w[2], nx, ny, nz) + NOISE_FLOOR * top_d
+        square_d, data_d = diffuse_maps(room, w, area, n_d[0], n_d[1], n_d[2], size, zeta, out)
         if settings.printed_maps:
-            _printed_maps(room.diffuse, room, w, n_d, zeta, out, False)
+            printed_maps(room.diffuse, room, w, n_d, zeta, out, False)
     elif flag == GOOD:
         flag = SATURATED if clipped * 2 > count else TOO_FEW
         x, y, z, found = gradient_direction(room.diffuse, room.ok, w, area)
@@ -492,9 +277,9 @@ def _specular(n, w, o, area, settings, n_d, solved, top_d, room, out):
             out[TANGENT + k] = math.cos(angle) * frame[0, k] + math.sin(angle) * frame[1, k]
     n_s = (frame[2, 0], frame[2, 1], frame[2, 2])
     zeta = 2 * noise + 0.01 * top
-    square, data = _specular_maps(room, n, g, rho[0], zeta, area, w, n_s[0], n_s[1], n_s[2], out)
+    square, data = specular_maps(room, n, g, rho[0], zeta, area, w, n_s[0], n_s[1], n_s[2], out)
     if settings.printed_maps:
-        _printed_maps(room.specular, room, w, n_s, zeta, out, True)
+        printed_maps(room.specular, room, w, n_s, zeta, out, True)
     in_lobe = max(whole * whole / squares, 1.0)
     variance = (square / max(data, 1e-30) + 1e-6) * large * small / in_lobe + (1.0 if flag != GOOD else 0.0)
     return True, n_s, norm, passes, variance, square, data, flag

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.images import srgb_encode, write_png
-from stages.olat.pixel import columns
+from stages.olat.columns import columns
 
 GRID = (
     ("diffuse_albedo", "specular_albedo", "diffuse_normal", "specular_normal", "normal", "tangent"),

@@ -21,15 +21,16 @@ from pipeline.images import read_mask
 from pipeline.lights.lobes import LOBES
 from pipeline.lights.solid_angles import solid_angles
 from pipeline.stage import StageRun
+from stages.olat.columns import FLAG, RESIDUAL, columns
 from stages.olat.drift import WARN_PX, Drift
 from stages.olat.fit import fit
 from stages.olat.footprint import with_neighbours
 from stages.olat.frames import Band, Samples, bands_of, is_half, read_bands
 from stages.olat.maps_out import MapWriter
 from stages.olat.paper import SPECULAR_FITS
-from stages.olat.pixel import FLAG, RESIDUAL, Settings, columns
 from stages.olat.preview import write_preview
 from stages.olat.stage import OlatParameters, every
+from stages.olat.workspace import Settings
 
 FLAGS = ("good", "too few lights", "saturated", "black", "no lobe", "bad samples")
 PRIOR = (1 / np.radians(0.5)) ** 2  # n_s and n_d of one surface agree to about half a degree

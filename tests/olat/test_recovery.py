@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from benchmarks.olat_pixels import Pixels, angle_deg, beckmann, make, rig_of, unit
+from stages.olat.columns import FLAG, columns
 from stages.olat.fit import fit
-from stages.olat.pixel import FLAG, Settings, columns
 from stages.olat.run import GAIN, MIXED, PRIOR
+from stages.olat.workspace import Settings
 
 pytestmark = pytest.mark.slow  # the kernels' first compilation takes most of a minute
 

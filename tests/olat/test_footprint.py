@@ -1,0 +1,75 @@
+"""Widths of the surface: a pixel's spread of normals is taken out, whatever bands the frame is read in."""
+
+from itertools import pairwise
+
+import numpy as np
+
+from stages.olat.columns import WIDTH, columns
+from stages.olat.footprint import changes, surface_widths, with_neighbours
+from stages.olat.frames import Band
+
+AT = columns()
+
+
+def ball(size: int = 48) -> np.ndarray:
+    y, x = (np.mgrid[:size, :size] + 0.5) / size * 2.4 - 1.2
+    z = np.sqrt(np.clip(1 - x**2 - y**2, 0, None))
+    return np.stack([x, y, z], -1) * (z > 0.3)[..., None]
+
+
+def rows_of(normals: np.ndarray, sigma: tuple[float, float]) -> np.ndarray:
+    inside = normals.any(-1)
+    rows = np.zeros((inside.sum(), WIDTH))
+    n = normals[inside]
+    t = np.cross([0.0, 1.0, 0.0], n)
+    rows[:, AT["normal"]] = rows[:, AT["specular_normal"]] = n
+    rows[:, AT["tangent"]] = t / np.linalg.norm(t, axis=1, keepdims=True)
+    rows[:, AT["sigma"]] = sigma
+    return rows
+
+
+def test_the_spread_across_a_cylinder_widens_only_its_own_axis():
+    angle = np.linspace(-1, 1, 40)
+    normals = np.tile(np.stack([np.sin(angle), 0 * angle, np.cos(angle)], -1), (10, 1, 1))
+    per_pixel = angle[1] - angle[0]
+    true = np.array([0.3, 0.1])
+    rows = rows_of(normals, (0.3, 0.1))  # the larger width lies along x, around the cylinder
+    rows[:, AT["sigma"]] = np.sqrt(true**2 + np.array([per_pixel**2 / 6, 0]))  # twice the variance of a uniform spread
+    across, down = changes(normals)
+    surface_widths(rows, across.reshape(-1, 3), down.reshape(-1, 3))
+    inner = rows.reshape(10, 40, -1)[:, 1:-1]
+    assert np.allclose(inner[..., AT["sigma"]], true, rtol=1e-3)
+    assert np.allclose(inner[..., AT["anisotropy"]], 0.5, atol=1e-3)
+
+
+def test_a_spread_larger_than_the_lobe_leaves_half_its_width():
+    normals = ball(12)
+    rows = rows_of(normals, (0.05, 0.05))
+    inside = normals.any(-1)
+    across, down = changes(normals)
+    surface_widths(rows, across[inside], down[inside])
+    assert np.all(rows[:, AT["sigma"]] >= 0.0249) and np.all(rows[:, AT["sigma"]] < 0.05)
+
+
+def test_bands_do_not_change_the_widths():
+    normals = ball()
+    inside = normals.any(-1)
+
+    def widths(edges: list[int]) -> np.ndarray:
+        bands = []
+        for top, bottom in pairwise(edges):
+            pixels = np.flatnonzero(inside[top:bottom]) + top * inside.shape[1]
+            rows = rows_of(normals, (0.3, 0.2))[np.searchsorted(np.flatnonzero(inside), pixels)]
+            bands.append((Band(top, bottom, pixels), rows))
+        return np.concatenate([rows for _, rows in with_neighbours(bands, inside.shape[1])])
+
+    whole = widths([0, 48])
+    assert np.array_equal(whole, widths([0, 16, 32, 48]))
+    assert np.array_equal(whole, widths([0, 1, 2, 30, 48]))
+
+
+def test_an_edge_between_surfaces_is_no_spread():
+    normals = np.zeros((4, 6, 3))
+    normals[:, :3, 2], normals[:, 3:, 0] = 1, 1
+    across, down = changes(normals)
+    assert not across.any() and not down.any()
