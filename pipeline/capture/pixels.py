@@ -9,13 +9,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.capture.bands import ROWS, LinearReader
 from pipeline.capture.config import RadiometryConfig
-from pipeline.capture.files import FLOAT_SUFFIXES, RAW_SUFFIXES
+from pipeline.capture.files import RAW_SUFFIXES
+from pipeline.capture.frame_memory import frame_array
 from pipeline.errors import UserError
-from pipeline.images import _first_line, _open, srgb_decode
-
-DEFAULT_SATURATION = 0.98
-"""Of the white level: sensors bend before they clip."""
 
 
 @dataclass
@@ -70,53 +68,20 @@ def read_linear(path: Path, radiometry: RadiometryConfig, sensor_data: bool = Fa
         from pipeline.capture.raw import read_raw_rgb
 
         return calibrated(read_raw_rgb(path, radiometry), path, radiometry)
-    image = _open(path)
-    spec = image.spec()
-    kind = str(spec.format)
-    bits = {"uint8": 8, "uint16": 16, "uint32": 32}.get(kind, 0)
-    if bits and "A" in spec.channelnames:
-        image.close()
-        image = _open_unassociated(path)
-    pixels = image.read_image("float")
-    error = _first_line(image.geterror()) if pixels is None else ""
-    orientation = int(spec.get_int_attribute("Orientation", 1))
-    exposure = float(spec.get_float_attribute("ExposureTime", 0.0)) or None
-    if path.suffix.lower() == ".hdr":
-        orientation = 1
-    image.close()
-    if pixels is None:
-        raise UserError(path, f"the image is truncated or corrupt ({error})", "copy it again from its source")
-    pixels = np.asarray(pixels, np.float32).reshape(spec.height, spec.width, -1)
-    names = tuple(spec.channelnames)
-    colour = [i for i, name in enumerate(names) if name.lower() != "a"]
-    saturated = np.zeros(pixels.shape[:2], bool)
-    encoding = radiometry.encoding or ("srgb" if bits == 8 and not sensor_data else "linear")
-    if bits or radiometry.white_level is not None:
-        full = float(2**bits - 1) if bits else 1.0
-        white = (radiometry.white_level if radiometry.white_level is not None else full) / full
-        black = (radiometry.black_level or 0.0) / full
-        limit = white * (radiometry.saturation or (1.0 if encoding == "srgb" else DEFAULT_SATURATION))
-        for i in colour:  # a plane at a time: reductions over a short last axis are slow
-            saturated |= pixels[..., i] >= np.float32(limit)
-        if (black, white) != (0.0, 1.0):
-            for i in colour:
-                pixels[..., i] -= np.float32(black)
-                pixels[..., i] *= np.float32(1 / (white - black))
-    elif radiometry.black_level:
-        pixels[..., colour] -= np.float32(radiometry.black_level)
-    if encoding == "srgb" and path.suffix.lower() not in FLOAT_SUFFIXES:
-        pixels[..., colour] = srgb_decode(pixels[..., colour])
-    linear = LinearImage(pixels, names, saturated, bits, orientation, exposure, encoding)
+    reader = LinearReader(path, radiometry, sensor_data)
+    width, height = reader.size
+    pixels = frame_array((height, width, len(reader.names)))
+    saturated = np.empty((height, width), bool)
+    try:
+        for start in range(0, height, ROWS):
+            stop = min(start + ROWS, height)
+            reader.fill(start, stop, pixels[start:stop], saturated[start:stop])
+    finally:
+        reader.close()
+    linear = LinearImage(
+        pixels, reader.names, saturated, reader.bits, reader.orientation, reader.exposure_s, reader.encoding
+    )
     return calibrated(linear, path, radiometry)
-
-
-def _open_unassociated(path: Path):
-    """Open with alpha not multiplied into colour, as PNG stores it."""
-    import OpenImageIO as oiio
-
-    config = oiio.ImageSpec()
-    config.attribute("oiio:UnassociatedAlpha", 1)
-    return oiio.ImageInput.open(str(path), config)
 
 
 def calibrated(image: LinearImage, path: Path, radiometry: RadiometryConfig) -> LinearImage:

@@ -16,7 +16,7 @@ from pipeline.capture.frame import apply_stokes_config
 from pipeline.capture.grouping import Group, group_files
 from pipeline.capture.model import DecodedView, ViewSource
 from pipeline.capture.mosaic_signs import is_mosaic, mosaic_colour, read_mosaic
-from pipeline.capture.stack import design_covariance, polariser_design, solve_stack
+from pipeline.capture.stack import design_covariance, polariser_design
 from pipeline.capture.stokes_files import finished, holds_stokes, is_verbatim, stokes_exr_loader
 from pipeline.errors import UserError
 from pipeline.images import channel_names, image_size
@@ -137,82 +137,12 @@ def _colour_loader(group: Group, config: CaptureConfig) -> Callable[[], DecodedV
 
 
 def _stack_loader(group: Group, config: CaptureConfig, camera: str) -> Callable[[], DecodedView]:
-    angles = [a for a in group.angles if a is not None]
-    told = config.polarisers.get(camera)
-    design = polariser_design(angles, told.extinction if told else None)
-
     def load() -> DecodedView:
-        samples = spoilt = first = None
-        for k, exposures in enumerate(group.angles.values()):  # one file at a time: a frame can be large
-            image = read_exposures(exposures, config.radiometry)
-            rgb = image.rgb(exposures[0].path)
-            if samples is None or spoilt is None or first is None:
-                samples, spoilt = np.empty((len(angles), *rgb.shape), np.float32), np.zeros((len(angles), *rgb.shape[:2]), bool)
-                first = image
-            if rgb.shape != samples.shape[1:]:
-                have, want = rgb.shape[1::-1], samples.shape[2:0:-1]
-                raise UserError(exposures[0].path, f"is {have[0]}x{have[1]}, its stack {want[0]}x{want[1]}", "one size a stack")
-            samples[k] = rgb
-            spoilt[k] = image.saturated
-        assert samples is not None and spoilt is not None and first is not None
-        first.pixels = samples[0]
-        holes = np.zeros(samples.shape[1:3], bool)
-        if not np.isfinite(samples.sum()):
-            bad: NDArray[np.bool_] = np.any(~np.isfinite(samples), axis=-1)
-            samples[bad] = 0
-            spoilt, holes = np.logical_or(spoilt, bad), np.any(bad, axis=0)
-        stokes, lost = solve_stack(samples, design, ~spoilt if spoilt.any() else None)
-        if config.radiometry.white_balance:
-            stokes *= np.asarray(config.radiometry.white_balance, np.float32)
-        stokes = apply_stokes_config(stokes, config.stokes)
-        view = DecodedView(stokes=stokes, saturated=lost, design=design, covariance=design_covariance(design))
-        if len(angles) > 3:
-            view.noise = _stack_noise(samples, design)
-            moved = _movement(samples, design)
-            if moved:
-                view.faults[
-                    "the angles do not fit one Stokes vector along edges: did the camera or the object move between them?"
-                ] = 0
-        if holes.any():
-            view.faults["not finite: left out of the fit"] = int(holes.sum())
-        return finished(view, group.paths[0], first)
+        from pipeline.capture.stack_reader import read_stack
+
+        return read_stack(group, config, config.polarisers.get(camera))
 
     return load
-
-
-def _residuals(samples: NDArray[np.float32], design: NDArray[np.float64]) -> NDArray[np.float32]:
-    """What no Stokes vector explains of samples [n, H, W, C], on some rows."""
-    some = samples[:, :: row_step(samples)]
-    projector = (np.eye(len(design)) - design @ np.linalg.pinv(design)).astype(np.float32)
-    return (projector @ some.reshape(len(samples), -1)).reshape(some.shape)
-
-
-def row_step(samples: NDArray[np.float32]) -> int:
-    """Rows to step over so that about a hundred thousand pixels are looked at."""
-    return max(4, samples.shape[1] * samples.shape[2] // 100_000)
-
-
-def _stack_noise(samples: NDArray[np.float32], design: NDArray[np.float64]) -> float:
-    """Standard deviation of a sample, from the residuals (n - 3 degrees of freedom)."""
-    residual = _residuals(samples, design)
-    return float(np.median(np.abs(residual)) / 0.6745 * np.sqrt(len(design) / (len(design) - 3)))
-
-
-MOVED = 0.25
-"""Of the local contrast: residuals this large at edges are a shift of a quarter of a pixel, not noise."""
-
-
-def _movement(samples: NDArray[np.float32], design: NDArray[np.float64]) -> bool:
-    """Whether residuals follow edges, as they do where the pictures of a stack do not lie on each other."""
-    residual = np.abs(_residuals(samples, design)).max(0).mean(-1)
-    grey = samples[:, :: row_step(samples)].mean((0, -1))
-    gradient = np.abs(np.gradient(grey, axis=1))
-    strong = gradient > np.percentile(gradient, 95)
-    flat = gradient < np.percentile(gradient, 50)
-    if strong.sum() < 50 or not gradient[strong].mean() > 0:
-        return False
-    excess = float(residual[strong].mean() - residual[flat].mean())
-    return excess > MOVED * float(gradient[strong].mean())
 
 
 def _mosaic_loader(group: Group, config: CaptureConfig, colour: str) -> Callable[[], DecodedView]:

@@ -24,6 +24,73 @@ def design_covariance(design: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(np.linalg.pinv(design.T @ design), np.float64)
 
 
+MOST_PATTERNS_OF = 10
+"""Angles up to which every pattern of spoilt samples has its solver made beforehand (1024 of them)."""
+WORST_CONDITION = 100.0
+"""A design that is left with worse than this holds no Stokes vector: 81 for filters at 0 and 1 degree."""
+
+
+class StackSolver:
+    """Least squares for one design [n, 3], band by band; spoilt samples get no weight."""
+
+    def __init__(self, design: NDArray[np.float64]) -> None:
+        self.design = design
+        self.everywhere = np.linalg.pinv(design).astype(np.float32)
+        self._patterns: tuple[NDArray[np.float32], NDArray[np.bool_]] | None = None
+
+    def solve(
+        self, samples: NDArray[np.float32], spoilt: NDArray[np.bool_] | None, out: NDArray[np.float32]
+    ) -> NDArray[np.bool_] | None:
+        """Fill out [P, 3, C] from samples [n, P, C], spoilt [n, P]; returns where too few angles are left [P], or None.
+
+        There, all samples are used.
+        """
+        from pipeline.capture.stack_kernel import apply_solver, solve_patterns
+
+        apply_solver(samples, self.everywhere, out)
+        if spoilt is None or not spoilt.any():
+            return None
+        lost = np.zeros(samples.shape[1], bool)
+        if len(self.design) <= MOST_PATTERNS_OF:
+            solve_patterns(samples, spoilt, *self._all_patterns(), out, lost)
+        else:
+            self._solve_found_patterns(samples, spoilt, out, lost)
+        return lost if lost.any() else None
+
+    def _without(self, kept: NDArray[np.bool_]) -> NDArray[np.float32] | None:
+        """The solver [3, n] from the kept angles alone, or None where they do not determine the vector."""
+        if kept.sum() < 3 or np.linalg.cond(self.design[kept]) > WORST_CONDITION:
+            return None
+        solver = np.zeros((3, len(self.design)), np.float32)
+        solver[:, kept] = np.linalg.pinv(self.design[kept])
+        return solver
+
+    def _all_patterns(self) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+        if self._patterns is None:
+            n = len(self.design)
+            solvers = np.zeros((1 << n, 3, n), np.float32)
+            determined = np.zeros(1 << n, bool)
+            for pattern in range(1 << n):
+                solver = self._without(np.array([not pattern >> k & 1 for k in range(n)]))
+                if solver is not None:
+                    solvers[pattern], determined[pattern] = solver, True
+            self._patterns = solvers, determined
+        return self._patterns
+
+    def _solve_found_patterns(
+        self, samples: NDArray[np.float32], spoilt: NDArray[np.bool_], out: NDArray[np.float32], lost: NDArray[np.bool_]
+    ) -> None:
+        partial = np.flatnonzero(spoilt.any(0))
+        keys, groups = np.unique(np.packbits(spoilt[:, partial], axis=0), axis=1, return_inverse=True)
+        for index in range(keys.shape[1]):
+            pixels = partial[groups.ravel() == index]
+            solver = self._without(~np.unpackbits(keys[:, index])[: len(self.design)].astype(bool))
+            if solver is None:
+                lost[pixels] = True
+            else:
+                out[pixels] = np.einsum("sk,kpc->psc", solver, samples[:, pixels])
+
+
 def solve_stack(
     intensities: NDArray[np.float32], design: NDArray[np.float64], usable: NDArray[np.bool_] | None = None
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_] | None]:
@@ -33,24 +100,8 @@ def solve_stack(
     or None if that is nowhere.
     """
     n, height, width, colours = intensities.shape
-    from pipeline.capture.stack_kernel import apply_solver
-
     samples = np.ascontiguousarray(intensities, np.float32).reshape(n, -1, colours)
-    out = apply_solver(samples, np.linalg.pinv(design).astype(np.float32))
-    lost = None
-    if usable is not None and not usable.all():
-        lost = np.zeros(height * width, bool)
-        partial = np.flatnonzero(~usable.all(0).ravel())
-        # Pixels with the same usable angles share one solver: at most 2^n of them.
-        patterns = np.packbits(usable.reshape(n, -1)[:, partial], axis=0)
-        keys, groups = np.unique(patterns, axis=1, return_inverse=True)
-        for index in range(keys.shape[1]):
-            pixels = partial[groups.ravel() == index]
-            kept = np.unpackbits(keys[:, index])[:n].astype(bool)
-            if kept.sum() < 3 or np.linalg.cond(design[kept]) > 100:
-                lost[pixels] = True
-                continue
-            some = np.linalg.pinv(design[kept]).astype(np.float32)
-            out[pixels] = np.einsum("sk,kpc->psc", some, samples[kept][:, pixels])
-        lost = lost.reshape(height, width) if lost.any() else None
-    return out.reshape(height, width, 3, colours), lost
+    out = np.empty((height * width, 3, colours), np.float32)
+    spoilt = None if usable is None else np.ascontiguousarray(~usable.reshape(n, -1))
+    lost = StackSolver(design).solve(samples, spoilt, out)
+    return out.reshape(height, width, 3, colours), None if lost is None else lost.reshape(height, width)

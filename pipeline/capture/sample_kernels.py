@@ -1,0 +1,43 @@
+"""Stored samples to float: one pass over a band of rows that fits the cache."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+_TO_SINGLE = np.float32(2.0**112)
+"""A half's exponent bias is 15, a float's 127: shifted bits are low by 2^112, subnormal halves included."""
+_HALF_SPECIAL = np.float32(65536.0)
+
+
+@numba.njit(nogil=True, cache=True)
+def widen_halves(bits: NDArray[np.uint16], out: NDArray[np.float32], out_bits: NDArray[np.uint32]) -> None:
+    """Half floats, as their bits [N], to floats [N]; `out_bits` is a view of `out`. Exact, also for NaN and infinity."""
+    n = bits.size
+    for i in range(n):
+        out_bits[i] = np.uint32(bits[i] & np.uint16(0x7FFF)) << np.uint32(13)
+    for i in range(n):
+        out[i] *= _TO_SINGLE
+    for i in range(n):
+        special = np.uint32(0x7F800000) if out[i] >= _HALF_SPECIAL else np.uint32(0)
+        out_bits[i] |= special | (np.uint32(bits[i] & np.uint16(0x8000)) << np.uint32(16))
+
+
+@numba.njit(nogil=True, cache=True)
+def look_up(codes: NDArray, table: NDArray[np.float32], out: NDArray[np.float32]) -> None:
+    """out [N] = table[codes [N]]; the table has an entry for every code."""
+    for i in range(codes.size):
+        out[i] = table[codes[i]]
+
+
+@numba.njit(nogil=True, cache=True)
+def mark_at_least(codes: NDArray, limit: int, alpha: int, out: NDArray[np.bool_]) -> None:
+    """out [P] = whether any colour of codes [P, C] reaches `limit`; the channel `alpha` (-1: none) is left out."""
+    pixels, channels = codes.shape
+    for p in range(pixels):
+        top = np.int64(0)
+        for c in range(channels):
+            if c != alpha:
+                top = max(top, np.int64(codes[p, c]))
+        out[p] = top >= limit

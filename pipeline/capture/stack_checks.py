@@ -1,0 +1,34 @@
+"""What the residuals of an angle stack tell: the noise of a sample, and whether something moved between the angles."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+MOVED = 0.25
+"""Of the local contrast: residuals this large at edges are a shift of a quarter of a pixel, not noise."""
+
+
+def residuals(samples: NDArray[np.float32], design: NDArray[np.float64]) -> NDArray[np.float32]:
+    """What no Stokes vector explains of samples [n, R, W, C]."""
+    projector = (np.eye(len(design)) - design @ np.linalg.pinv(design)).astype(np.float32)
+    return (projector @ samples.reshape(len(samples), -1)).reshape(samples.shape)
+
+
+def sample_noise(samples: NDArray[np.float32], design: NDArray[np.float64]) -> float:
+    """Standard deviation of a sample, from the residuals (n - 3 degrees of freedom)."""
+    residual = residuals(samples, design)
+    return float(np.median(np.abs(residual)) / 0.6745 * np.sqrt(len(design) / (len(design) - 3)))
+
+
+def moved(samples: NDArray[np.float32], design: NDArray[np.float64]) -> bool:
+    """Whether residuals follow edges, as they do where the pictures of a stack do not lie on each other."""
+    residual = np.abs(residuals(samples, design)).max(0).mean(-1)
+    grey = samples.mean((0, -1))
+    gradient = np.abs(np.gradient(grey, axis=1))
+    strong = gradient > np.percentile(gradient, 95)
+    flat = gradient < np.percentile(gradient, 50)
+    if strong.sum() < 50 or not gradient[strong].mean() > 0:
+        return False
+    excess = float(residual[strong].mean() - residual[flat].mean())
+    return excess > MOVED * float(gradient[strong].mean())
