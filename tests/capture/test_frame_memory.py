@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from pipeline.capture import frame_memory
 from pipeline.capture.frame_memory import SMALL, frame_array
 
 SHAPE = (SMALL // 4, 4)
@@ -18,6 +19,7 @@ def test_memory_in_use_is_never_handed_out_again():
 
 
 def test_memory_is_used_again_for_frames_of_the_same_size():
+    frame_memory._free.clear()
     first = frame_array(SHAPE)
     place = first.__array_interface__["data"][0]
     del first
