@@ -14,6 +14,7 @@ from .fusion import Extent, Volume, measure
 from .gbuffer import Views
 from .outline import outline_gap
 from .ply import write_ply
+from .refine import following_normals
 
 ROUNDS = 2  # of matching outlines: the second corrects the first by a few percent of it
 MOST_OUTWARD = 0.5  # of the truncation, where the field is still a distance
@@ -29,8 +30,9 @@ def make_mesh(run: StageRun) -> None:
     holes = 0
     if p.fill_holes:
         mesh, holes = fill_holes(mesh)
-    mesh = in_fixed_order(without_slivers(mesh))
-    mesh, seen = bake(mesh, views, 2 * voxel + abs(outward))
+    mesh, seen = bake(in_fixed_order(without_slivers(mesh)), views, 2 * voxel + abs(outward))
+    if p.follow_normals:
+        mesh = following_normals(mesh, p.follow_normals)
     write_ply(run.output / "mesh.ply", *vertex_table(mesh), mesh.faces)
     run.note("size", extent.size)
     run.note("voxel", voxel)

@@ -21,6 +21,10 @@ class MeshParameters:
     match_outlines: bool = field(
         default=True, metadata={"help": "shift the surface along its normal until outlines agree with the opacity images"}
     )
+    follow_normals: float = field(
+        default=4.0,
+        metadata={"help": "relief smaller than this follows the rendered normals instead of the depths, 0: none (edges)"},
+    )
     component_pct: float = field(default=2.0, metadata={"help": "smaller pieces than this go (percent of the largest's area)"})
     fill_holes: bool = field(default=True, metadata={"help": "close holes that no view sees into (such as the underside)"})
     poisson: bool = field(default=False, metadata={"help": "also write mesh_poisson.ply, a closed surface"})
@@ -33,6 +37,8 @@ class MeshParameters:
             raise ValueError("max_voxels must lie between 16 and 2048")
         if not 1.5 <= self.truncation_voxels <= 50:
             raise ValueError("truncation_voxels must lie between 1.5 and 50")
+        if not 0 <= self.follow_normals <= 100:
+            raise ValueError("follow_normals must lie between 0 and 100")
         if not 4 <= self.poisson_depth <= 12:
             raise ValueError("poisson_depth must lie between 4 and 12")
 
@@ -53,4 +59,4 @@ def run(run: StageRun) -> None:
     make_mesh(run)
 
 
-STAGE = Stage("mesh", 1, MeshParameters, ("poses", "train"), needed, run)
+STAGE = Stage("mesh", 2, MeshParameters, ("poses", "train"), needed, run)

@@ -16,6 +16,7 @@ from stages.mesh.fusion import Volume, measure
 from stages.mesh.outline import outline_gap, outline_length
 from stages.mesh.ply import write_ply
 from stages.mesh.stage import MeshParameters
+from stages.relight.turntable import read_ply
 
 
 def fuse(views) -> Mesh:
@@ -156,7 +157,9 @@ def run_stage(sphere_views, tmp_path):
 def test_stage_writes_tsdf_and_poisson_meshes(sphere_views, run_stage):
     run = run_stage(sphere_views(1.0), poisson=True, poisson_depth=5)
     assert (run.output / "mesh.ply").exists()
-    assert (run.output / "mesh_poisson.ply").exists()
+    _, _, faces = read_ply(run.output / "mesh_poisson.ply")
+    edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    assert (np.unique(edges, axis=0, return_counts=True)[1] == 2).all()  # closed
     assert run.facts["size"] == pytest.approx(2.0, rel=0.03)
 
 
