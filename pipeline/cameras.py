@@ -87,15 +87,25 @@ class Camera:
         )
 
 
+def distort(ideal: np.ndarray, distortion: tuple[float, ...]) -> np.ndarray:
+    """Where a lens (OpenCV k1 k2 p1 p2) puts ideal normalised image points [..., 2]."""
+    radial, tangential = _lens_terms(ideal, distortion)
+    return ideal * radial[..., None] + tangential
+
+
+def _lens_terms(ideal: np.ndarray, distortion: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
+    k1, k2, p1, p2 = (*distortion, 0.0, 0.0, 0.0, 0.0)[:4]
+    x, y = ideal[..., 0], ideal[..., 1]
+    r2 = x * x + y * y
+    tangential = np.stack([2 * p1 * x * y + p2 * (r2 + 2 * x * x), p1 * (r2 + 2 * y * y) + 2 * p2 * x * y], -1)
+    return 1 + k1 * r2 + k2 * r2 * r2, tangential
+
+
 def undistort(points: np.ndarray, distortion: tuple[float, ...], rounds: int = 20) -> np.ndarray:
     """Ideal normalised image points [..., 2] of distorted ones (OpenCV k1 k2 p1 p2), by fixed-point iteration."""
-    k1, k2, p1, p2 = (*distortion, 0.0, 0.0, 0.0, 0.0)[:4]
     ideal = points.copy()
     for _ in range(rounds):
-        x, y = ideal[..., 0], ideal[..., 1]
-        r2 = x * x + y * y
-        radial = 1 + k1 * r2 + k2 * r2 * r2
-        tangential = np.stack([2 * p1 * x * y + p2 * (r2 + 2 * x * x), p1 * (r2 + 2 * y * y) + 2 * p2 * x * y], -1)
+        radial, tangential = _lens_terms(ideal, distortion)
         ideal = (points - tangential) / radial[..., None]
     return ideal
 

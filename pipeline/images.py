@@ -56,7 +56,8 @@ def channel_names(path: str | Path) -> list[str]:
     return names
 
 
-def _read(path: Path) -> tuple[np.ndarray, list[str], str]:
+def read_stored(path: Path) -> tuple[np.ndarray, list[str], str]:
+    """(pixels float32 [H, W, C], channel names, format on disk such as "half"). Raises UserError."""
     image = _open(path)
     spec = image.spec()
     pixels = image.read_image("float")
@@ -70,7 +71,7 @@ def _read(path: Path) -> tuple[np.ndarray, list[str], str]:
 
 def read_exr(path: str | Path) -> dict[str, np.ndarray]:
     """Every channel by its name, float32 [H, W] each. Raises UserError."""
-    pixels, names, _ = _read(Path(path))
+    pixels, names, _ = read_stored(Path(path))
     return {name: np.ascontiguousarray(pixels[..., i]) for i, name in enumerate(names)}
 
 
@@ -80,7 +81,7 @@ def read_image(path: str | Path, channels: Sequence[str] | None = None) -> np.nd
     Integer files are scaled to 0..1 by their type's maximum. Raises UserError.
     """
     path = Path(path)
-    pixels, names, _ = _read(path)
+    pixels, names, _ = read_stored(path)
     if channels is None:
         return pixels
     lower = [name.lower() for name in names]

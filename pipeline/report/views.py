@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.images import channel_names, read_exr, read_image, read_stokes
+from pipeline.lens import frames_folder
 from pipeline.stage import StageRun
 
 from . import pictures
@@ -64,7 +65,7 @@ def _view_pictures(run: StageRun, view: str) -> list[dict[str, str]]:
     longest = run.parameters.picture_px
     stokes, channels = read_stokes(path), read_exr(path)
     names = sorted(v.view for v in run.capture.views)
-    frame_path = run.inputs["decode"] / "frames" / f"{view}.exr"
+    frame_path = frames_folder(run.inputs) / "frames" / f"{view}.exr"
     measured = read_image(frame_path, S0 if "S0.R" in channel_names(frame_path) else RGB)
     measured_stokes = read_stokes(frame_path) if "S1.R" in channel_names(frame_path) else None
     mask_path = run.inputs["masks"] / f"{view}.png" if "masks" in run.inputs else None

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from pipeline.capture.pixels import read_linear
 from pipeline.errors import UserError
+from pipeline.lens import Straightener, lenses
 from pipeline.stage import StageRun
 from stages.masks.background import tidy
 from stages.masks.segment import frame_s0
@@ -22,7 +23,7 @@ DARKEST_SHADOW = 0.5
 
 def by_clean_plate(stage: StageRun, views: list[str]) -> dict[str, NDArray[np.bool_]]:
     """Masks [H, W] of the views that have a plate. Raises UserError for a view without one."""
-    capture, plates = stage.capture, {}
+    capture, plates, bent = stage.capture, {}, lenses(stage.inputs)
     out = {}
     for view in views:
         path = capture.clean_plates.get(view)
@@ -38,7 +39,8 @@ def by_clean_plate(stage: StageRun, views: list[str]) -> dict[str, NDArray[np.bo
             raise UserError(
                 path, f"is {have[1]}x{have[0]}, the view {view} {want[1]}x{want[0]}", "photograph it with the same camera"
             )
-        out[view] = difference_mask(image, plates[path])
+        plate = Straightener(bent[view]).image(plates[path]) if view in bent else plates[path]
+        out[view] = difference_mask(image, plate)
     return out
 
 

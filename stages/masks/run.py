@@ -13,6 +13,7 @@ from pipeline.cameras import Camera
 from pipeline.capture.files import some
 from pipeline.errors import UserError
 from pipeline.images import read_image, read_stokes, write_png
+from pipeline.lens import Straightener, frame_table, frames_folder, lenses
 from pipeline.stage import StageRun
 from stages.masks.stage import choose_method
 
@@ -76,7 +77,7 @@ def say_if_frame_looks_wrong(stage: StageRun, masks: dict[str, NDArray[np.uint8]
     from stages.masks.contour_check import contour_evidence, verdict
 
     names = sorted(masks)[:: max(1, len(masks) // CONTOUR_VIEWS)]
-    folder = stage.inputs["decode"] / "frames"
+    folder = frames_folder(stage.inputs) / "frames"
     stokes = [read_stokes(folder / f"{name}.exr").mean(-1) for name in names]
     evidence = contour_evidence(stokes, [masks[name] > THRESHOLD for name in names])
     stage.note(
@@ -123,18 +124,20 @@ def light_stage_masks(stage: StageRun, method: str) -> dict[str, tuple[NDArray[n
 
 
 def multiview_masks(stage: StageRun, method: str) -> dict[str, tuple[NDArray[np.uint8], str]]:
-    """One mask per view; views that the method leaves out are segmented by the background model."""
-    frames = json.loads((stage.inputs["decode"] / "frames.json").read_text(encoding="utf-8"))["views"]
+    """One mask per view, in the frames' geometry (pipeline.lens); what the method leaves out is segmented."""
+    frames, bent = frame_table(stage.inputs), lenses(stage.inputs)
     out: dict[str, tuple[NDArray[np.uint8], str]] = {}
     if method == "none":
         return {v: (np.full((f["height"], f["width"]), 255, np.uint8), "none") for v, f in frames.items()}
     if method == "given":
         given = stage.capture.masks if isinstance(stage.capture.masks, dict) else {}
-        out = {view: (given_mask(path), "given") for view, path in given.items()}
+        for view, path in given.items():
+            mask = given_mask(path)
+            out[view] = Straightener(bent[view]).mask(mask) if view in bent else mask, "given"
     elif method == "alpha":
         for view, frame in frames.items():
             if frame["alpha"]:
-                out[view] = given_mask(stage.inputs["decode"] / frame["alpha"]), "alpha"
+                out[view] = given_mask(frames_folder(stage.inputs) / frame["alpha"]), "alpha"
     missing = [view for view in frames if view not in out]
     if missing:
         from stages.masks.segment import segment_views

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.cameras import Camera, load_cameras
 from pipeline.images import read_image
+from pipeline.lens import frames_folder
 from pipeline.stage import StageRun
 
 MIN_VIEWS = 4
@@ -62,7 +61,7 @@ def _one_by_one(stage: StageRun, views: list[str]) -> dict[str, NDArray[np.bool_
 
 def frame_s0(stage: StageRun, view: str) -> NDArray[np.float32]:
     """A decoded frame's radiance [H, W, 3]: s0, or the plain colour."""
-    path = stage.inputs["decode"] / "frames" / f"{view}.exr"
+    path = frames_folder(stage.inputs) / "frames" / f"{view}.exr"
     stokes = stage.capture.polarisation == "stokes"
     return np.maximum(read_image(path, ("S0.R", "S0.G", "S0.B") if stokes else ("R", "G", "B")), 0)
 
@@ -72,8 +71,3 @@ def cameras_of(stage: StageRun) -> dict[str, Camera]:
     if "poses" not in stage.inputs or not (stage.inputs["poses"] / "cameras.json").is_file():
         return {}
     return load_cameras(stage.inputs["poses"] / "cameras.json")
-
-
-def frame_table(stage: StageRun) -> dict[str, dict]:
-    """frames.json's views."""
-    return json.loads((stage.inputs["decode"] / "frames.json").read_text(encoding="utf-8"))["views"]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from typing import Any
 
+from pipeline.lens import frames_folder
 from pipeline.stage import StageRun
 
 from .mesh_figures import mesh_table
@@ -47,8 +48,9 @@ def figures(run: StageRun) -> dict[str, Table]:
             elif name == "olat":
                 tables[name] = olat_table(inputs["olat"], capture.root)
             elif name == "train":
-                frames = json.loads((inputs["decode"] / "frames.json").read_text())
-                tables[name] = train_table(inputs["train"], inputs["decode"], masks, truth, frames)
+                decode = frames_folder(inputs)
+                frames = json.loads((decode / "frames.json").read_text())
+                tables[name] = train_table(inputs["train"], decode, masks, truth, frames)
             elif name == "mesh":
                 tables[name] = mesh_table(inputs["mesh"], capture.root / "gt" / "mesh.ply", run.parameters.mesh_samples)
             elif capture.kind == "light_stage":

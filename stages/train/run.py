@@ -16,6 +16,7 @@ os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 import numpy as np
 import torch
 
+from pipeline.lens import frames_folder
 from pipeline.progress import Bar
 
 from . import checkpoint, export
@@ -48,7 +49,7 @@ def train(stage: StageRun) -> None:
     torch.set_num_threads(1)  # arrays of 20k rows gain nothing from two threads and lose much to their barriers
     started = time.monotonic()
     inputs = stage.inputs
-    sources, mode = load_sources(inputs["decode"], inputs["poses"], inputs.get("masks"), parameters.polarisation)
+    sources, mode = load_sources(frames_folder(inputs), inputs["poses"], inputs.get("masks"), parameters.polarisation)
     start = prepare_training(sources, mode, stage.capture.polarisers, stage.capture.up, parameters, stage.device)
     find_polarisers(start, sources, stage)
     backend = "cuda" if stage.device.startswith("cuda") else "cpu"

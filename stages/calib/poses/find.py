@@ -12,13 +12,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.cameras import Camera, save_cameras
+from pipeline.cameras import Camera
 from pipeline.capture.colmap import read_model
 from pipeline.capture.exif import focal_from_exif
 from pipeline.capture.files import count, some
 from pipeline.errors import UserError
 from pipeline.stage import StageRun
 from stages.calib.poses.proxies import Proxy, write_masks, write_proxies
+from stages.calib.poses.straighten import write_cameras
 from stages.calib.poses.write import write_points, write_sparse
 
 EXHAUSTIVE_VIEWS = 150
@@ -272,7 +273,7 @@ def _finish(stage: StageRun, model: Any, proxies: list[Proxy]) -> None:
     sparse.mkdir()
     model.write_text(str(sparse))
     found = read_model(sparse)
-    save_cameras(stage.output / "cameras.json", {v: replace(c, name=camera_of[v]) for v, c in found.cameras.items()})
+    write_cameras(stage, {v: replace(c, name=camera_of[v]) for v, c in found.cameras.items()})
     points, colours = _points(model)
     write_points(stage.output / "points.ply", points, colours)
     focal = {camera_of[v]: c.fx for v, c in found.cameras.items()}

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from pipeline.cameras import save_cameras
 from pipeline.capture.colmap import ColmapModel, read_model
 from pipeline.stage import StageRun
+from stages.calib.poses.straighten import write_cameras
 from stages.calib.poses.write import write_points, write_sparse
 
 
@@ -12,7 +12,7 @@ def write_given(stage: StageRun) -> None:
     """Write cameras.json and sparse/ from given cameras; points of an existing model or, if asked, triangulated."""
     capture = stage.capture
     cameras = capture.cameras or {}
-    save_cameras(stage.output / "cameras.json", cameras)
+    write_cameras(stage, cameras)
     model: ColmapModel | None = read_model(capture.colmap) if capture.colmap is not None else None
     write_sparse(stage.output / "sparse", cameras)
     if stage.parameters.triangulate:

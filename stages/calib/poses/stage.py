@@ -68,7 +68,7 @@ def run(stage: StageRun) -> None:
 
 STAGE = Stage(
     name="poses",
-    version=1,
+    version=2,
     parameters=PosesParameters,
     needs=("decode",),
     needed=needed,
