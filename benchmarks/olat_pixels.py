@@ -13,6 +13,10 @@ from pipeline.lights.solid_angles import fibonacci_sphere, solid_angles
 Float = NDArray[np.float64]
 
 
+VIEW = (0.2, 0.1, 1.0)
+"""Towards the camera, not normalised."""
+
+
 @dataclass
 class Pixels:
     """Samples cross, parallel [N, P, 3] and what they were made from, [P, ...]."""
@@ -74,15 +78,17 @@ def make(
     clip: float = np.inf,
     tilt_deg: float = 55.0,
     shadow: float = 0.0,
+    views: float = 0.05,
 ) -> Pixels:
     """`count` pixels of random normals up to `tilt_deg` from the view, albedos and widths (or the given ones).
 
     noise: standard deviation of a stored sample; clip: its largest value; shadow: each pixel loses the lights within this
-    angle (rad) of a direction about 50 degrees off its normal. Irradiance pi a light, specular factor 2.
+    angle (rad) of a direction about 50 degrees off its normal; views: spread of the view directions (rad) about `VIEW`.
+    Irradiance pi a light, specular factor 2.
     """
     rng = np.random.default_rng(seed)
     rig = rig or rig_of()
-    view = unit(np.array([0.2, 0.1, 1.0]) + 0.05 * rng.normal(size=(count, 3)))
+    view = unit(np.array(VIEW) + views * rng.normal(size=(count, 3)))
     side = unit(np.cross(view, rng.normal(size=(count, 3))))
     angle = np.radians(tilt_deg) * np.sqrt(rng.uniform(size=(count, 1)))
     normal = unit(np.cos(angle) * view + np.sin(angle) * side)

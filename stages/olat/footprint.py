@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from stages.olat.columns import columns
 from stages.olat.frames import Band
+from stages.olat.lobe_fit import ROUND
 
 LEAST = 0.25  # of a pixel's squared width that the surface keeps: the spread is an estimate of its own
 EDGE = np.cos(np.radians(45.0))  # neighbours that differ more are another surface
@@ -48,6 +49,7 @@ def surface_widths(rows: NDArray[np.float64], across: NDArray[np.float64], down:
     tangent[one_way] = axis[:, :1] * t + axis[:, 1:] * b
     sigma[:] = np.sqrt(squares)
     large, small = sigma[:, 0], sigma[:, 1]
+    tangent[large - small <= ROUND * (large + small)] = 0.0
     rows[:, at["roughness"]] = ((large * small) ** 0.25)[:, None]
     rows[:, at["anisotropy"]] = np.divide(large - small, large + small, out=np.zeros_like(large), where=large > 0)[:, None]
 

@@ -72,7 +72,9 @@ def fit_lobe(
         copy2(frame2, frame)
         copy1(shape2, shape)
     values(settings.lobe, frame, shape, o, half, incident, g)
-    reweight(g, kind(rho[0]), light, use, absolute, RELATIVE, weight)
+    copy1(use, weight)
+    if settings.robust > 0:
+        reweight(g, kind(rho[0]), light, use, absolute, RELATIVE, weight)
     stiffness = _stiffness(prior, g, kind(rho[0]), light, use, weight) if stiff else 0.0
     _, norm, more = optimise(settings.lobe, frame, shape, rho, o, half, incident, light, floor, weight, not anisotropic,
                              stiffness, n_d, settings.steps, settings.tolerance)  # fmt: skip
@@ -134,8 +136,10 @@ def _rounds(settings, prior, frame, shape, rho, o, n_d, stiff, absolute, isotrop
     values(settings.lobe, frame, shape, o, half, incident, g)
     rho[0] = linear_albedo(g, light, use, floor)
     passes = 0
-    for _ in range(settings.robust):
-        reweight(g, kind(rho[0]), light, use, absolute, RELATIVE, weight)
+    copy1(use, weight)
+    for _ in range(max(settings.robust, 1)):
+        if settings.robust > 0:
+            reweight(g, kind(rho[0]), light, use, absolute, RELATIVE, weight)
         stiffness = _stiffness(prior, g, kind(rho[0]), light, use, weight) if stiff else 0.0
         _, _, more = optimise(settings.lobe, frame, shape, rho, o, half, incident, light, floor, weight, isotropic,
                               stiffness, n_d, ROUND_STEPS, settings.tolerance)  # fmt: skip

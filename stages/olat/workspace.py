@@ -13,7 +13,7 @@ class Settings(NamedTuple):
 
     lobe: int
     rounds: int  # reweighting rounds of the diffuse fit
-    robust: int  # reweighting rounds of the specular fit
+    robust: int  # reweighting rounds of the specular fit (0: plain least squares)
     steps: int  # Levenberg-Marquardt steps at the end
     tolerance: float  # gradient norm, data of unit norm, at which a fit ends
     saturation: float  # radiance from which a sample is clipped (inf: none is)
