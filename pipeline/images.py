@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.errors import UserError
+from pipeline.whole_file import refuse_truncated
 
 STOKES = tuple(f"S{k}.{c}" for k in range(3) for c in "RGB")
 EXR_COMPRESSION = "zip:2"
@@ -30,6 +31,8 @@ def _open(path: Path):
         raise UserError(path, "no such image", "check the path and the name")
     if path.stat().st_size == 0:
         raise UserError(path, "the file is empty (0 bytes)", "copy it again from its source")
+    if path.suffix.lower() == ".png":
+        refuse_truncated(path)
     image = _oiio().ImageInput.open(str(path))
     if image is None:
         raise UserError(path, f"cannot be read as an image ({_first_line(_oiio().geterror())})", "copy it again or remove it")

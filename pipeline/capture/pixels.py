@@ -78,9 +78,7 @@ def read_linear(path: Path, radiometry: RadiometryConfig, sensor_data: bool = Fa
             reader.fill(start, stop, pixels[start:stop], saturated[start:stop])
     finally:
         reader.close()
-    linear = LinearImage(
-        pixels, reader.names, saturated, reader.bits, reader.orientation, reader.exposure_s, reader.encoding
-    )
+    linear = LinearImage(pixels, reader.names, saturated, reader.bits, reader.orientation, reader.exposure_s, reader.encoding)
     return calibrated(linear, path, radiometry)
 
 
@@ -94,20 +92,27 @@ def calibrated(image: LinearImage, path: Path, radiometry: RadiometryConfig) -> 
         image.pixels[..., colour] -= dark
     if radiometry.flat_field:
         flat = _reference(path, radiometry.flat_field, bare, image, len(colour)) - dark
-        gain = flat / flat.mean((0, 1))
-        if not gain.min() > 0:
+        if not flat.min() > 0:
             raise UserError(
-                radiometry.flat_field, "the flat field has black pixels", "expose it brighter, or give its dark frame"
+                _beside(path, radiometry.flat_field),
+                "the flat field has black pixels",
+                "expose it brighter, or give its dark frame",
             )
-        image.pixels[..., colour] /= gain
+        image.pixels[..., colour] /= flat / flat.mean((0, 1))
     return image
+
+
+def _beside(path: Path, name: str) -> Path:
+    """The file `name`, relative to the capture that `path` lies in. Raises UserError."""
+    found = next((parent / name for parent in path.parents if (parent / name).is_file()), None)
+    if found is None or found == path:
+        raise UserError(name, "named in capture.toml but not there", "give its path relative to the capture")
+    return found
 
 
 def _reference(path: Path, name: str, radiometry: RadiometryConfig, image: LinearImage, colours: int) -> NDArray[np.float32]:
     """A dark frame or flat field [H, W, colours] of the capture that `path` lies in."""
-    found = next((parent / name for parent in path.parents if (parent / name).is_file()), None)
-    if found is None or found == path:
-        raise UserError(name, "named in capture.toml but not there", "give its path relative to the capture")
+    found = _beside(path, name)
     reference = read_linear(found, radiometry)
     pixels = reference.pixels[..., [i for i, n in enumerate(reference.names) if n.lower() != "a"]]
     if pixels.shape != (*image.pixels.shape[:2], colours):

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from pipeline.capture.config import RadiometryConfig
 from pipeline.errors import UserError
+from pipeline.whole_file import refuse_truncated
 
 if TYPE_CHECKING:
     from pipeline.capture.pixels import LinearImage
@@ -62,6 +63,8 @@ def _opened(path: Path) -> Any:
         raise UserError(path, "no such image", "check the path and the name")
     if path.stat().st_size == 0:
         raise UserError(path, "the file is empty (0 bytes)", "copy it again from its source")
+    if path.suffix.lower() == ".dng":
+        refuse_truncated(path)
     try:
         raw = rawpy.imread(str(path))
     except rawpy.LibRawFileUnsupportedError:

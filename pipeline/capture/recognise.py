@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 from pipeline.capture.config import load_config
+from pipeline.capture.files import UNREADABLE, some
 from pipeline.capture.layouts import all_layouts
 from pipeline.capture.model import Capture
 from pipeline.errors import UserError
@@ -40,10 +42,10 @@ def open_capture(path: Path | str) -> Capture:
         if not chosen:
             names = ", ".join(layout.name for layout in layouts)
             raise UserError(root / "capture.toml", f"layout = {config.layout!r} is not a layout", f"known: {names}")
-        return chosen[0].read(root, config)
+        return _with_foreign_files(chosen[0].read(root, config))
     for layout in layouts:
         if layout.recognise(root):
-            return layout.read(root, config)
+            return _with_foreign_files(layout.read(root, config))
     looked = "; ".join(f"{layout.name}: {layout.looks_like}" for layout in layouts)
     found = ", ".join(entries[:SHOWN]) + (f" and {len(entries) - SHOWN} more" if len(entries) > SHOWN else "")
     raise UserError(
@@ -51,3 +53,13 @@ def open_capture(path: Path | str) -> Capture:
         f"no known capture layout. Found: {found}. Looked for {looked}",
         "see docs/captures.md, or set `layout` in capture.toml",
     )
+
+
+def _with_foreign_files(capture: Capture) -> Capture:
+    """The capture with a warning for files among its images that nobody here can read (R3D, BRAW, HEIC, video)."""
+    folders = sorted({path.parent for view in capture.views for path in view.paths})
+    foreign = sorted(p for f in folders for p in f.iterdir() if p.suffix.lower() in UNREADABLE and not p.name.startswith("."))
+    if not foreign:
+        return capture
+    line = f"{foreign[0].parent}: left out {some(p.name for p in foreign)}: {UNREADABLE[foreign[0].suffix.lower()]}"
+    return replace(capture, warnings=(*capture.warnings, line))

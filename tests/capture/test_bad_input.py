@@ -176,3 +176,20 @@ def test_missing_stokes_part_is_named(scene, write, tmp_path):
     write.pandora(tmp_path, scene)
     (tmp_path / "images_stokes" / "0002_s0p1.hdr").unlink()
     refused(tmp_path, "0002_s0p1.hdr", "is missing")
+
+
+def test_truncated_files_say_one_line_and_no_library_says_another(tmp_path, capfd):
+    noise = np.random.default_rng(0).integers(0, 255, (40, 40, 3)).astype(np.uint8)
+    path = tmp_path / "images" / "a.png"
+    write_png(path, noise)
+    open_capture(tmp_path).views[0].read()
+    path.write_bytes(path.read_bytes()[:2000])
+    refused(tmp_path, "a.png", "truncated")
+    assert capfd.readouterr().err == ""
+
+
+def test_pictures_that_nobody_reads_are_named_beside_those_that_are_read(tmp_path):
+    write_png(tmp_path / "images" / "a.png", np.full((16, 16, 3), 99, np.uint8))
+    (tmp_path / "images" / "A001.R3D").write_bytes(b"RED2")
+    (line,) = open_capture(tmp_path).warnings
+    assert "A001.R3D" in line and "EXR" in line

@@ -1,0 +1,77 @@
+"""Truncated files told by their own structure, before a C library prints its complaint over ours."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+from typing import BinaryIO
+
+from pipeline.errors import UserError
+
+PNG_END = b"IEND"
+TAIL = 1 << 16
+"""Bytes at a PNG's end in which its last chunk is looked for: some programs add a few of their own after it."""
+OFFSETS_OF = {273: 279, 324: 325}
+"""TIFF tags of where strips and tiles lie, and of their lengths."""
+DIRECTORIES = (330, 34665)
+SIZES = {3: 2, 4: 4, 13: 4}
+MOST_DIRECTORIES = 64
+
+
+def refuse_truncated(path: Path) -> None:
+    """Raise UserError where a PNG or TIFF-like file (DNG) ends before its pixels do; other files pass."""
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        head = file.read(8)
+        if head == b"\x89PNG\r\n\x1a\n":
+            file.seek(max(0, size - TAIL))
+            short = PNG_END not in file.read()
+        elif head[:4] in (b"II*\0", b"MM\0*"):
+            short = tiff_end(file, head, size) > size
+        else:
+            return
+    if short:
+        raise UserError(path, f"the file is truncated ({size} bytes)", "copy it again from its source")
+
+
+def tiff_end(file: BinaryIO, head: bytes, size: int) -> int:
+    """The last byte + 1 that any directory, strip or tile of a TIFF reaches; what is not understood is left out."""
+    order = "<" if head[:2] == b"II" else ">"
+    todo, end = [struct.unpack(order + "I", head[4:])[0]], 8
+    seen: set[int] = set()
+    while todo and len(seen) < MOST_DIRECTORIES:
+        at = todo.pop()
+        if at in seen or at == 0:
+            continue
+        seen.add(at)
+        if at + 2 > size:
+            return at + 2
+        file.seek(at)
+        count = struct.unpack(order + "H", file.read(2))[0]
+        table = file.read(12 * count + 4)
+        if len(table) < 12 * count:
+            return at + 2 + 12 * count
+        tags: dict[int, tuple[int, ...]] = {}
+        for k in range(count):
+            tag, kind, number = struct.unpack(order + "HHI", table[12 * k : 12 * k + 8])
+            if tag in (*OFFSETS_OF, *OFFSETS_OF.values(), *DIRECTORIES) and kind in SIZES:
+                tags[tag], last = _numbers(file, order, kind, number, table[12 * k + 8 : 12 * k + 12])
+                end = max(end, last)
+        for offsets, lengths in OFFSETS_OF.items():
+            end = max([end, *(a + b for a, b in zip(tags.get(offsets, ()), tags.get(lengths, ())))])
+        todo += [a for tag in DIRECTORIES for a in tags.get(tag, ())]
+        if len(table) == 12 * count + 4:
+            todo.append(struct.unpack(order + "I", table[-4:])[0])
+    return end
+
+
+def _numbers(file: BinaryIO, order: str, kind: int, number: int, value: bytes) -> tuple[tuple[int, ...], int]:
+    """A tag's unsigned numbers (none where the file ends before them), and where they end if they lie elsewhere."""
+    end, length = 0, SIZES[kind] * number
+    if length > 4:
+        at = struct.unpack(order + "I", value)[0]
+        file.seek(at)
+        value, end = file.read(length), at + length
+        if len(value) < length:
+            return (), end
+    return struct.unpack(f"{order}{number}{'H' if kind == 3 else 'I'}", value[:length]), end
