@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.backdrop import object_pixels
 from pipeline.images import channel_names, read_exr, read_image, read_stokes
 from pipeline.lens import frames_folder
 from pipeline.stage import StageRun
@@ -71,8 +72,11 @@ def _view_pictures(run: StageRun, view: str) -> list[dict[str, str]]:
     mask_path = run.inputs["masks"] / f"{view}.png" if "masks" in run.inputs else None
     inside = read_image(mask_path)[..., 0] if mask_path and mask_path.exists() else np.ones(measured.shape[:2])
     same = measured.shape[:2] == stokes.shape[:2] == inside.shape
+    if same:
+        compared = object_pixels(measured, inside > 0)
+        measured, stokes = measured * compared[..., None], stokes * compared[..., None, None]
     box = pictures.crop_box([channels["alpha"] > 0.02, *([inside > 0.5] if same else [])])
-    gain = exposure_of(measured * inside[..., None]) if same else 1.0
+    gain = exposure_of(measured) if same else 1.0
     behind = run.capture.polarisation == "polarisers"
     solid = channels["alpha"] > 0.5
     out: list[dict[str, str]] = []
@@ -81,13 +85,13 @@ def _view_pictures(run: StageRun, view: str) -> list[dict[str, str]]:
         out.append(picture(pixels[box] if pixels.shape[:2] == stokes.shape[:2] else pixels, title, text, longest))
 
     add(
-        pictures.radiance(measured * (inside[..., None] if same else 1), gain),
+        pictures.radiance(measured, gain),
         "photograph",
         "behind its polariser" if behind else "s0 measured",
     )
     add(pictures.radiance(stokes[:, :, 0], gain), "model", "s0 rendered, never seen in training")
     if measured_stokes is not None and same:
-        difference = np.abs(stokes[:, :, 0] - measured * inside[..., None]).mean(-1) * gain
+        difference = np.abs(stokes[:, :, 0] - measured).mean(-1) * gain
         add(pictures.scale(difference, 0, 0.1), "difference", "|s0|, white at 0.1 of display")
         degree, angle = polarisation(measured_stokes * inside[..., None, None])
         add(pictures.scale(degree, 0, DOLP_FULL, mask=inside > 0.5), "DoLP", "measured")

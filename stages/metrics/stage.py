@@ -51,7 +51,7 @@ def run(run: StageRun) -> None:
 
 STAGE = Stage(
     name="metrics",
-    version=1,
+    version=2,
     parameters=MetricsParameters,
     needs=("decode", "poses", "masks", "olat", "train", "mesh", "relight"),
     needed=needed,

@@ -59,6 +59,7 @@ def _view_figures(
         out |= normal_figures(normal, true_normal, inside)
     if target.rgb.shape != stokes[:, :, 0].shape:
         return out
+    stokes = stokes * target.compared[..., None, None]
     if target.stokes is not None:
         out |= radiance_figures(stokes[:, :, 0], target.stokes[:, :, 0], inside)
         out |= polarisation_figures(stokes, target.stokes, inside)

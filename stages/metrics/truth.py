@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.backdrop import object_pixels
 from pipeline.errors import UserError
 from pipeline.images import channel_names, image_size, read_image, read_stokes
 
@@ -57,28 +58,26 @@ class Truth:
 
 @dataclass(frozen=True)
 class Target:
-    """What a test view should look like: `stokes` [H, W, 3, 3] or `rgb` [H, W, 3], black outside the object, and its mask.
+    """What a test view should look like: `stokes` [H, W, 3, 3] or `rgb` [H, W, 3], black where nothing is compared.
 
-    inside: wholly covered pixels [H, W].
+    inside: wholly covered pixels [H, W]; compared: those that hold the object's light [H, W], all where not told.
     """
 
     stokes: NDArray[np.float32] | None
     rgb: NDArray[np.float32]
     inside: NDArray[np.bool_] | None
+    compared: NDArray[np.bool_]
 
 
 def read_target(decode: Path, masks: Path | None, view: str) -> Target:
-    """A view as decoded, black where its mask is empty. Raises UserError."""
+    """A view as decoded, without its background. Raises UserError."""
     path = decode / "frames" / f"{view}.exr"
-    whole = covered = None
+    stokes = read_stokes(path) if "S1.R" in channel_names(path) else None
+    rgb = read_image(path, RGB) if stokes is None else stokes[:, :, 0]
+    inside, compared = None, np.ones(rgb.shape[:2], bool)
     mask_path = masks / f"{view}.png" if masks else None
     if mask_path is not None and mask_path.exists() and image_size(mask_path) == image_size(path):
         share = read_image(mask_path)[..., 0]
-        covered, whole = share > 0, share > 0.99
-    if "S1.R" in channel_names(path):
-        stokes = read_stokes(path)
-        if covered is not None:
-            stokes = stokes * covered[..., None, None]
-        return Target(stokes, stokes[:, :, 0], whole)
-    rgb = read_image(path, RGB)
-    return Target(None, rgb if covered is None else rgb * covered[..., None], whole)
+        inside, compared = share > 0.99, object_pixels(rgb, share > 0)
+    rgb = rgb * compared[..., None]
+    return Target(None if stokes is None else stokes * compared[..., None, None], rgb, inside, compared)

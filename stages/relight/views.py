@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.backdrop import grown
 from pipeline.cameras import Camera, load_cameras
 from pipeline.errors import UserError
 from pipeline.images import read_image, read_mask, srgb_encode, write_png, write_stokes
@@ -50,7 +51,7 @@ def read_view(path: Path, camera: Camera, mask: Path | None) -> ViewPixels:
     if mask is not None and mask.exists():
         inside = read_mask(mask)
         if inside.shape == shown.shape:
-            shown &= _grown(inside)
+            shown &= grown(inside)
     index = np.flatnonzero(shown)
     rays = camera.rays()
     frame_x, frame_y = camera.stokes_frame()
@@ -59,13 +60,6 @@ def read_view(path: Path, camera: Camera, mask: Path | None) -> ViewPixels:
     flat = [v.reshape(-1, 3)[index] for v in (position, a[..., 2:5], -rays, frame_x, frame_y)]
     surface = Surface(flat[0], flat[1], flat[2], a.reshape(-1, len(CHANNELS))[index, 5:10], flat[3], flat[4])
     return ViewPixels((height, width), index, a[..., 1].ravel()[index], surface)
-
-
-def _grown(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """The mask and every pixel that touches it."""
-    h, w = mask.shape
-    padded = np.pad(mask, 1)
-    return np.logical_or.reduce([padded[y : y + h, x : x + w] for y in range(3) for x in range(3)])
 
 
 def relight_views(run: StageRun) -> None:

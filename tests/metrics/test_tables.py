@@ -83,6 +83,20 @@ def test_background_of_a_photograph_does_not_count(scene):
     assert table_of(root, capture, {"polarisation": "stokes"}).figures["psnr_srgb"] == 120
 
 
+def test_rim_outside_the_mask_counts_on_a_black_backdrop(scene):
+    root, capture, stokes, _ = scene
+    inside = stokes[:, :, 0].max(-1) > 0
+    smaller = inside & np.roll(inside, 1, 0) & np.roll(inside, -1, 0) & np.roll(inside, 1, 1) & np.roll(inside, -1, 1)
+    write_png(root / "masks" / "a.png", smaller.astype(np.uint8) * 255)
+    assert table_of(root, capture, {"polarisation": "stokes"}).figures["psnr_srgb"] == 120
+    cut = stokes * smaller[..., None, None]  # a model that lacks the rim is told so
+    write_exr(root / "train" / "test" / "a.exr", {
+        **{f"S{k}.{c}": cut[:, :, k, i] for k in range(3) for i, c in enumerate("RGB")},
+        **{k: inside * 1.0 for k in ("N.X", "N.Y", "N.Z", "alpha", "ior", "roughness")},
+    })  # fmt: skip
+    assert table_of(root, capture, {"polarisation": "stokes"}).figures["psnr_srgb"] < 40
+
+
 def test_behind_a_polariser_the_measured_intensity_is_compared(scene):
     root, capture, stokes, _ = scene
     t = 2 * np.radians(30.0)

@@ -1,0 +1,27 @@
+"""Which pixels of a frame hold the object's light: a yes-or-no mask cuts off the rim that is less than half covered."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+BLACK = 1e-3  # mean radiance away from the object, over the object's: below it there is no background to take away
+
+
+def grown(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """The mask [H, W] and every pixel that touches it."""
+    h, w = mask.shape
+    padded = np.pad(mask, 1)
+    return np.logical_or.reduce([padded[y : y + h, x : x + w] for y in range(3) for x in range(3)])
+
+
+def object_pixels(image: NDArray, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Pixels [H, W] of a frame [H, W, 3] to compare: all of them where its backdrop is black, else those of the mask.
+
+    On black, the rim outside the mask is the object's own light and counts, as in `PSNR, full frame` of the frame itself.
+    """
+    if not mask.any() or mask.all():
+        return mask
+    away = ~grown(mask)
+    black = not away.any() or np.abs(image[away]).mean() <= BLACK * np.abs(image[mask]).mean()
+    return np.ones_like(mask) if black else mask
