@@ -135,7 +135,8 @@ def tables(metrics: Mapping[str, Any]) -> list[dict[str, Any]]:
 def _tables_of(title: str, table: Mapping[str, Any]) -> list[dict[str, Any]]:
     why = table.get("why", {})
     figures, parts = [], []
-    for name, value in table.items():
+    order = {name: k for k, name in enumerate(FIGURES)}
+    for name, value in sorted(table.items(), key=lambda item: order.get(item[0], len(order))):
         if name in SKIPPED:
             continue
         if isinstance(value, Mapping) and ("views" in value or "why" in value or "pixels" in value):

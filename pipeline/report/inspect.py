@@ -109,6 +109,9 @@ def _views(capture: Capture) -> tuple[list[dict[str, Any]], list[tuple[str, str]
             cards.append({"view": name, "pictures": _view_pictures(capture, name)})
         except UserError as error:
             faults.append((name, str(error)))
+    if cards and all(len(card["pictures"]) == 1 for card in cards):  # side by side, each under its name
+        pics = [{**card["pictures"][0], "title": card["view"]} for card in cards]
+        cards = [{"view": f"{len(pics)} of {len(capture.views)} views", "pictures": pics}]
     return cards, faults
 
 
@@ -171,7 +174,7 @@ def _environment(path: Path) -> dict[str, str]:
     try:
         return picture(pictures.radiance(read_image(path, ("R", "G", "B"))), path.stem, "", 560)
     except UserError as error:
-        return {"src": "", "title": path.stem, "text": str(error)}
+        return {"src": "", "title": path.stem, "text": str(error), "place": ""}
 
 
 def scene_of(capture: Capture) -> dict[str, Any]:

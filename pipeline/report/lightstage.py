@@ -79,5 +79,5 @@ def relit_cards(run: StageRun) -> list[dict[str, Any]]:
         lamp = None
         if folder.name in maps:
             lamp = picture(pictures.radiance(read_image(maps[folder.name], RGB)), folder.name, "the map", 560)
-        out.append({"name": folder.name, "map": lamp, "pictures": pics})
+        out.append({"name": folder.name, "figures": {}, "map": lamp, "pictures": pics})
     return out

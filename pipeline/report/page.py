@@ -54,7 +54,7 @@ def write_report(run: StageRun, metrics: dict[str, Any], manifests: Mapping[str,
 
         context["views"] = views.view_cards(run, metrics)
         context["environment"] = views.environment_pictures(run)
-        context["relit"] = views.relit_cards(run) if "relight" in run.inputs else []
+        context["relit"] = views.relit_cards(run, metrics) if "relight" in run.inputs else []
     if "olat" in run.inputs:
         from . import lightstage
 
@@ -71,7 +71,7 @@ def capture_facts(run: StageRun) -> list[str]:
         size = f"{cameras[0].camera.width} × {cameras[0].camera.height} px"
         count = len(cameras)
         return [
-            c.layout,
+            c.layout.replace("_", " "),
             f"{len(c.light_stage.lights)} lights",
             f"{count} camera{'s' if count > 1 else ''}",
             size,
@@ -79,7 +79,7 @@ def capture_facts(run: StageRun) -> list[str]:
         ]
     words = {"stokes": "full linear Stokes vectors", "polarisers": "behind polarisers", "none": "no polarisation data"}
     size = next((f"{v.size[0]} × {v.size[1]} px" for v in c.views if v.size), "")
-    facts = [c.layout, f"{len(c.views)} views", size, words[c.polarisation], f"{c.up} up", *c.facts]
+    facts = [c.layout.replace("_", " "), f"{len(c.views)} views", size, words[c.polarisation], f"{c.up} up", *c.facts]
     return [f for f in facts if f]
 
 

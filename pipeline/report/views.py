@@ -22,9 +22,9 @@ AOLP_FULL = 0.15  # DoLP from which an angle is shown at full brightness
 ERROR_DEG = 30.0  # normal error at the bright end
 
 
-def picture(pixels: NDArray[np.uint8], title: str, text: str, longest: int) -> dict[str, str]:
-    """One figure of a page."""
-    return {"src": pictures.data_uri(pixels, longest), "title": title, "text": text}
+def picture(pixels: NDArray[np.uint8], title: str, text: str, longest: int, place: str = "") -> dict[str, str]:
+    """One figure of a page; place "first" starts a row."""
+    return {"src": pictures.data_uri(pixels, longest), "title": title, "text": text, "place": place}
 
 
 def polarisation(stokes: NDArray) -> tuple[NDArray, NDArray]:
@@ -82,7 +82,9 @@ def _view_pictures(run: StageRun, view: str) -> list[dict[str, str]]:
     out: list[dict[str, str]] = []
 
     def add(pixels: NDArray[np.uint8], title: str, text: str) -> None:
-        out.append(picture(pixels[box] if pixels.shape[:2] == stokes.shape[:2] else pixels, title, text, longest))
+        cut = pixels[box] if pixels.shape[:2] == stokes.shape[:2] else pixels
+        surface = title == "normals" and not any(p["title"] == "normals" for p in out)  # light above, surface below
+        out.append(picture(cut, title, text, longest, "first" if surface else ""))
 
     add(
         pictures.radiance(measured, gain),
@@ -132,7 +134,7 @@ def environment_pictures(run: StageRun) -> list[dict[str, str]]:
     return out
 
 
-def relit_cards(run: StageRun) -> list[dict[str, Any]]:
+def relit_cards(run: StageRun, metrics: dict[str, Any]) -> list[dict[str, Any]]:
     """For every map: the map, and views beside their truth where there is one."""
     names = sorted(v.view for v in run.capture.views)
     longest, out = run.parameters.picture_px, []
@@ -154,12 +156,19 @@ def relit_cards(run: StageRun) -> list[dict[str, Any]]:
         if turntable.is_file():
             moving = base64.b64encode(turntable.read_bytes()).decode()
             pics.append(
-                {"src": f"data:image/webp;base64,{moving}", "title": "turntable", "text": "the mesh with its baked material"}
+                {
+                    "src": f"data:image/webp;base64,{moving}",
+                    "title": "turntable",
+                    "text": "the mesh with its baked material",
+                    "place": "",
+                }
             )
         lamp = (
             picture(pictures.radiance(read_image(maps[folder.name], RGB)), folder.name, "the map", 560)
             if folder.name in maps
             else None
         )
-        out.append({"name": folder.name, "map": lamp, "pictures": pics})
+        out.append(
+            {"name": folder.name, "figures": metrics.get("relight", {}).get(folder.name, {}), "map": lamp, "pictures": pics}
+        )
     return out
