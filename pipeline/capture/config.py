@@ -70,11 +70,13 @@ class MosaicConfig:
 
 @dataclass(frozen=True)
 class StackConfig:
-    """Angle stacks. `angles_deg`: the polariser's angle of each file suffix; `clockwise`: angles turn the other way."""
+    """Angle stacks. `angles_deg`: the polariser's angle of each file suffix; `clockwise`: angles turn the other way;
+    `align`: shift each picture onto the first (the camera or the filter moved the image)."""
 
     angles_deg: dict[str, float] = field(default_factory=dict)
     clockwise: bool = False
     zero_deg: float = 0.0
+    align: bool = False
 
 
 @dataclass(frozen=True)

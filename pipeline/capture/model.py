@@ -32,6 +32,7 @@ class DecodedView:
     design [n, 3]: rows of the polariser matrix that the Stokes vector was solved from (None: the file held Stokes).
     covariance [3, 3] of (s0, s1, s2) for samples of unit variance. faults: what was found wrong, with a pixel count
     (0 where the fault is the file's, not of pixels). verbatim: an EXR that already holds exactly this, by channel name.
+    moved: by how many pixels which picture of an angle stack lies off the first, where they do not fit each other.
     """
 
     stokes: NDArray[np.float32] | None = None
@@ -43,6 +44,7 @@ class DecodedView:
     covariance: NDArray[np.float64] | None = None
     faults: dict[str, int] = field(default_factory=dict)
     verbatim: Path | None = None
+    moved: tuple[float, Path] | None = None
 
     @property
     def s0(self) -> NDArray[np.float32]:

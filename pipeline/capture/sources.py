@@ -15,6 +15,7 @@ from pipeline.capture.files import RAW_SUFFIXES, refuse_duplicates
 from pipeline.capture.frame import apply_stokes_config
 from pipeline.capture.grouping import Group, group_files
 from pipeline.capture.model import DecodedView, ViewSource
+from pipeline.capture.mosaic_order import order_fault
 from pipeline.capture.mosaic_signs import is_mosaic, mosaic_colour, read_mosaic
 from pipeline.capture.stack import design_covariance, polariser_design
 from pipeline.capture.stokes_files import finished, holds_stokes, is_verbatim, stokes_exr_loader
@@ -169,6 +170,9 @@ def _mosaic_loader(group: Group, config: CaptureConfig, colour: str) -> Callable
         view = DecodedView(
             stokes=stokes, saturated=_block_any(image.saturated), design=design, covariance=design_covariance(design)
         )
+        fault = order_fault(samples, config.mosaic.order)
+        if fault:
+            view.faults[fault] = 0
         return finished(view, path, image)
 
     return load

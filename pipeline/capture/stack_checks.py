@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+MISFIT = 0.25
+"""Of the polarised part: residuals that are smooth and this large come from wrong angles, not from noise."""
 MOVED = 0.25
 """Of the local contrast: residuals this large at edges are a shift of a quarter of a pixel, not noise."""
 
@@ -28,7 +30,20 @@ def moved(samples: NDArray[np.float32], design: NDArray[np.float64]) -> bool:
     gradient = np.abs(np.gradient(grey, axis=1))
     strong = gradient > np.percentile(gradient, 95)
     flat = gradient < np.percentile(gradient, 50)
-    if strong.sum() < 50 or not gradient[strong].mean() > 0:
+    if strong.sum() < 50 or not flat.any() or not gradient[strong].mean() > 0:
         return False
     excess = float(residual[strong].mean() - residual[flat].mean())
     return excess > MOVED * float(gradient[strong].mean())
+
+
+def angles_misfit(samples: NDArray[np.float32], design: NDArray[np.float64]) -> bool:
+    """Whether smooth residuals rival the polarised part: the angles are not those that the names tell."""
+    residual = residuals(samples, design).mean(-1)
+    step = np.diff(residual, axis=-1)
+    noise = float(np.median(np.abs(step - np.median(step)))) / 0.6745 / np.sqrt(2)
+    stokes = np.einsum("kn,nrw->krw", np.linalg.pinv(design), samples.mean(-1))
+    lit = stokes[0] > 0.05 * np.percentile(stokes[0], 99)
+    if lit.sum() < 50:
+        return False
+    size = float(np.median(np.abs(residual).max(0)[lit]))
+    return size > 5 * noise and size > MISFIT * float(np.median(np.hypot(stokes[1], stokes[2])[lit]))

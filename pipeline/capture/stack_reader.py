@@ -17,15 +17,16 @@ from pipeline.capture.frame import apply_stokes_config
 from pipeline.capture.frame_memory import frame_array
 from pipeline.capture.grouping import Exposure, Group
 from pipeline.capture.model import DecodedView
+from pipeline.capture.movement import edge_strength, laid_on, largest_shift
 from pipeline.capture.pixels import LinearImage
 from pipeline.capture.stack import StackSolver, design_covariance, polariser_design
-from pipeline.capture.stack_checks import moved, sample_noise
+from pipeline.capture.stack_checks import angles_misfit, moved, sample_noise
 from pipeline.capture.stokes_files import finished
 from pipeline.errors import UserError
 
 LOOKED_AT = 100_000
 """Pixels whose samples are kept to tell noise and movement from."""
-MOVED = "the angles do not fit one Stokes vector along edges: did the camera or the object move between them?"
+MISNAMED = "no Stokes vector explains all angles: are they those of the names (swapped files, a filter not turned, its zero)?"
 
 
 @dataclass(frozen=True)
@@ -37,6 +38,7 @@ class _Angle:
     size: tuple[int, int]
     fill: Callable[[int, int, NDArray[np.float32], NDArray[np.bool_]], None]
     close: Callable[[], None]
+    edges: NDArray[np.float32] | None = None
 
 
 def read_stack(group: Group, config: CaptureConfig, told: PolariserConfig | None) -> DecodedView:
@@ -45,7 +47,7 @@ def read_stack(group: Group, config: CaptureConfig, told: PolariserConfig | None
     angles: list[_Angle] = []
     try:
         for exposures in group.angles.values():
-            angles.append(_open_angle(exposures, config))
+            angles.append(_open_angle(exposures, config, angles[0] if angles else None))
             if angles[-1].size != angles[0].size:
                 have, want = angles[-1].size, angles[0].size
                 raise UserError(angles[-1].path, f"is {have[0]}x{have[1]}, its stack {want[0]}x{want[1]}", "one size a stack")
@@ -59,8 +61,10 @@ def read_stack(group: Group, config: CaptureConfig, told: PolariserConfig | None
     view.covariance = design_covariance(design)
     if len(design) > 3:
         view.noise = sample_noise(rows, design)
-        if moved(rows, design):
-            view.faults[MOVED] = 0
+        if angles_misfit(rows, design):
+            view.faults[MISNAMED] = 0
+        elif moved(rows, design):
+            view.moved = largest_shift(group, config)
     if holes:
         view.faults["not finite: left out of the fit"] = holes
     return finished(view, group.paths[0], angles[0].image)
@@ -104,19 +108,23 @@ def _leave_out_holes(band: NDArray[np.float32], spoilt: NDArray[np.bool_]) -> in
     return int(np.any(bad, axis=0).sum())
 
 
-def _open_angle(exposures: Sequence[Exposure], config: CaptureConfig) -> _Angle:
-    """A picture read as it is needed, or whole where levels, brackets or camera raw want it whole."""
+def _open_angle(exposures: Sequence[Exposure], config: CaptureConfig, first: _Angle | None) -> _Angle:
+    """A picture read as it is needed, or whole where levels, brackets, camera raw or alignment want it whole."""
     radiometry, path = config.radiometry, exposures[0].path
     whole = len(exposures) > 1 or path.suffix.lower() in RAW_SUFFIXES or radiometry.dark_frame or radiometry.flat_field
-    if whole or radiometry.exposure_s:
+    if whole or radiometry.exposure_s or config.stack.align:
         image = read_exposures(exposures, radiometry)
-        rgb = image.rgb(path)
+        rgb, marks = np.ascontiguousarray(image.rgb(path)), image.saturated
+        size = (rgb.shape[1], rgb.shape[0])
+        edges = edge_strength(rgb) if config.stack.align and first is None else None
+        if first is not None and first.edges is not None and size == first.size:
+            rgb, marks = laid_on(first.edges, rgb, marks)
 
         def copy(start: int, stop: int, out: NDArray[np.float32], spoilt: NDArray[np.bool_]) -> None:
             out[...] = rgb[start:stop]
-            spoilt[...] = image.saturated[start:stop]
+            spoilt[...] = marks[start:stop]
 
-        return _Angle(path, image, (rgb.shape[1], rgb.shape[0]), copy, lambda: None)
+        return _Angle(path, image, size, copy, lambda: None, edges)
     reader = LinearReader(path, radiometry)
     facts = LinearImage(np.empty((0, 0, len(reader.names)), np.float32), reader.names, np.empty((0, 0), bool), reader.bits,
                         reader.orientation, reader.exposure_s, reader.encoding)  # fmt: skip

@@ -200,3 +200,55 @@ def test_levels_and_dark_frame_and_flat_field(tmp_path):
     )
     rgb = open_capture(tmp_path).views[0].read().rgb
     np.testing.assert_allclose(rgb, truth / 1.3, rtol=5e-3)
+
+
+def shifted(image, x, y):
+    """The picture moved to the right and down by a fraction of a pixel."""
+    from scipy.ndimage import shift
+
+    return shift(image, (y, x, 0), order=3, mode="nearest")
+
+
+def stack_of(root, truth, angles=(0, 45, 90, 135), names=None, move=None):
+    for k, angle in enumerate(angles):
+        image = np.einsum("k,hwkc->hwc", polariser_design([angle])[0], truth)
+        image = shifted(image, *move) if move and k == 2 else image
+        for view in "ab":
+            name = f"{view}_{(names or angles)[k]:03d}.exr"
+            write_exr(root / "images" / name, {c: image[..., i].astype(np.float32) for i, c in enumerate("RGB")})
+
+
+def test_movement_between_the_angles_is_measured_and_taken_out_where_asked(tmp_path):
+    from scipy.ndimage import gaussian_filter
+
+    truth = np.stack([gaussian_filter(p, (1.2, 1.2, 0)) for p in np.moveaxis(textured(), 2, 0)], 2).astype(np.float32)
+    stack_of(tmp_path / "still", truth)
+    assert open_capture(tmp_path / "still").views[0].read().moved is None
+    stack_of(tmp_path / "moved", truth, move=(1.6, -0.7))
+    view = open_capture(tmp_path / "moved").views[0].read()
+    assert view.moved[1].name == "a_090.exr" and view.moved[0] == pytest.approx(np.hypot(1.6, 0.7), abs=0.3)
+    (tmp_path / "moved" / "capture.toml").write_text("[stack]\nalign = true\n")
+    aligned = open_capture(tmp_path / "moved").views[0].read()
+    inner = (slice(6, -6), slice(6, -6))
+    before, after = (np.sqrt(((dolp(v.stokes) - dolp(truth))[inner] ** 2).mean()) for v in (view, aligned))
+    assert aligned.moved is None and after < 0.3 * before
+
+
+def test_swapped_angles_of_a_stack_are_suspected(tmp_path):
+    stack_of(tmp_path / "right", textured())
+    assert not open_capture(tmp_path / "right").views[0].read().faults
+    stack_of(tmp_path / "swapped", textured(), names=(0, 90, 45, 135))
+    (fault,) = open_capture(tmp_path / "swapped").views[0].read().faults
+    assert "no Stokes vector explains all angles" in fault
+
+
+@pytest.mark.parametrize("colour", ["mono", "bayer"])
+def test_wrong_mosaic_order_is_suspected(tmp_path, colour):
+    codes = np.round(as_mosaic(textured(), colour) * 65535).astype(np.uint16)
+    (tmp_path / "images").mkdir()
+    tifffile.imwrite(tmp_path / "images" / "a.tif", codes, photometric="minisblack")
+    toml = f'layout = "mosaic"\n[mosaic]\ncolour = "{colour}"\n'
+    for order, suspected in (("90, 45, 135, 0", None), ("0, 90, 45, 135", "diagonally"), ("0, 45, 90, 135", "diagonally")):
+        (tmp_path / "capture.toml").write_text(f"{toml}order = [{order}]\n")
+        faults = [f for f in open_capture(tmp_path).views[0].read().faults if "crossed" in f]
+        assert bool(faults) == bool(suspected) and all(suspected in f for f in faults)

@@ -8,6 +8,7 @@ import shutil
 from collections import defaultdict
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -36,6 +37,7 @@ class FrameRecord:
     impossible: int = 0
     negative: int = 0
     pixels: int = 0
+    moved: tuple[float, Path] | None = None
 
 
 def decode_views(stage: StageRun) -> None:
@@ -74,7 +76,7 @@ def _decode_one(source: ViewSource, stage: StageRun) -> tuple[str, FrameRecord]:
     image = decoded.stokes if decoded.stokes is not None else decoded.rgb
     assert image is not None
     height, width = image.shape[:2]
-    record = FrameRecord({}, decoded.faults, pixels=height * width)
+    record = FrameRecord({}, decoded.faults, pixels=height * width, moved=decoded.moved)
     saturated = _saturated(decoded, source)
     name = f"frames/{source.view}.exr"
     half = _half(image, stage.parameters.precision)
@@ -133,6 +135,16 @@ def _tell(stage: StageRun, records: dict[str, FrameRecord]) -> None:
         pixels = sum(n for _, n in where)
         amount = f" ({pixels} pixels)" if pixels else ""
         stage.warn(f"{stage.capture.view(where[0][0]).paths[0]}{_others(where)}: {fault}{amount}")
+    moved = {view: r.moved for view, r in sorted(records.items()) if r.moved is not None}
+    if moved:
+        furthest, path = max(moved.values())
+        stage.note("moved_px", {view: round(px, 2) for view, (px, _) in moved.items()})
+        stage.warn(
+            f"{path}: {furthest:.1f} px off the first picture of its stack"
+            + (f", and pictures of {len(moved) - 1} more views" if len(moved) > 1 else "")
+            + ": the camera or the object moved between the angles, which makes false polarisation at edges; "
+            "stack.align = true in capture.toml shifts them onto each other"
+        )
     total = max(1, sum(r.pixels for r in records.values()))
     negative, impossible = (sum(getattr(r, k) for r in records.values()) for k in ("negative", "impossible"))
     clipped = [v for v, r in sorted(records.items()) if r.facts["saturated_fraction"] > 0]
