@@ -59,12 +59,15 @@ def solve(solver: str, quantity: str, start: NDArray, problem: dict[str, NDArray
 
     names = tuple(sorted(problem))
     run = _compiled(solver, quantity, shared, names)
+    count = len(start)
+    size = min(BATCH, count)
     out = []
-    for first in range(0, len(start), BATCH):
-        part = slice(first, first + BATCH)
+    for first in range(0, count, BATCH):
+        # every batch has the same shape, or it would be compiled again: the last one starts over with the first pixels
+        part = np.arange(first, first + size) % count
         p = {k: jnp.asarray(v if k in shared else v[part]) for k, v in problem.items()}
         out.append(np.asarray(run(jnp.asarray(start[part]), p)))
-    return np.concatenate(out) if out else np.zeros_like(start)
+    return np.concatenate(out)[:count] if out else np.zeros_like(start)
 
 
 def scaled(data: NDArray, use: NDArray) -> tuple[NDArray, NDArray]:
