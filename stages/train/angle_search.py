@@ -33,6 +33,7 @@ SMALL = {
     "coarse_fraction": 1.0,
     "environment_resolution": 16,
     "occlusion": False,
+    "mirror": "split",
     "densify": False,
     "hull_resolution": 56,
     "iterations": 400,

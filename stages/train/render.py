@@ -13,6 +13,7 @@ from .model import Splats, unit
 from .rasterize import Raster, rasterize
 
 BACK_FACING = -0.15  # cosine below which a splat's outer side is turned away for good: it cannot show, only leak through
+SCREEN_FILTER = 2  # half of gsplat's low-pass filter, which widens every outline by a pixel: 0.5 to 1 degree of normal error
 LEAST_ALPHA = 1e-3  # opacity below which a pixel's attributes are noise over noise: they then fade to zero instead
 
 
@@ -65,6 +66,7 @@ def rasterise_view(
         width,
         height,
         backend=backend,
+        screen_filter=SCREEN_FILTER,
     )
     alpha = raster.alpha.reshape(-1)[pixels]
     values = raster.features.reshape(height * width, -1)[pixels] / alpha.clamp_min(LEAST_ALPHA)[:, None]
@@ -88,6 +90,7 @@ def render_view(
     *,
     backend: str = "cpu",
     fresnel: str = "exact",
+    mirror: str = "split",
     occlusion: Occlusion | None = None,
 ) -> Rendered:
     """Stokes image of a view at its counting pixels."""
@@ -105,5 +108,6 @@ def render_view(
         light,
         occlusion=occlusion,
         fresnel=fresnel,
+        mirror=mirror if fresnel == "exact" else "split",
     )
     return Rendered(shaded.stokes * g.alpha[:, None, None], g, shaded, splats)

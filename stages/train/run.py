@@ -186,6 +186,7 @@ def write_results(trainer: Trainer, start: Start, sources: list[SourceView], sta
         "up": stage.capture.up,
         "fresnel": trainer.parameters.fresnel,
         "lobe": trainer.parameters.lobe,
+        "mirror": trainer.parameters.mirror,
         "environment_resolution": trainer.parameters.environment_resolution,
         "occlusion": bool(trainer.scene.occlusion),
     }

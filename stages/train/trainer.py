@@ -212,6 +212,7 @@ class Trainer:
             light if light is not None else self.light(),
             backend=self.backend,
             fresnel=self.parameters.fresnel,
+            mirror=self.parameters.mirror,
             occlusion=self.scene.occlusion.get((view.name, level)),
         )
 
@@ -219,8 +220,10 @@ class Trainer:
         """Render a view that is not one of the training views."""
         light, splats = self.light(), self.scene.model.activated()
         occlusion = self.trace_view(view, light, splats) if self.surface_occlusion is not None else None
-        parameters = self.parameters
-        return render_view(splats, view, light, backend=self.backend, fresnel=parameters.fresnel, occlusion=occlusion)
+        p = self.parameters
+        return render_view(
+            splats, view, light, backend=self.backend, fresnel=p.fresnel, mirror=p.mirror, occlusion=occlusion
+        )
 
     def skip_to_consolidation(self) -> None:
         """Go on at the last phase: every view, falling learning rates."""

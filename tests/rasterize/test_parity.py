@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from stages.train.rasterize import rasterize
+from stages.train.rasterize.cuda import enlarged, thinned
 
 IMAGES = ("features", "alpha", "normal", "depth_expected", "depth_median", "distortion")
 INPUTS = ("means", "quats", "scales", "opacities", "features")
@@ -24,7 +25,7 @@ GRADIENT_TOLERANCE = {"needles": 1.5e-2, "edge-on": 1.5e-2}  # 4.6e-3, 5.6e-3
 DISTORTION_FLOOR = 1e-6
 
 
-def run(scene, backend: str, dtype: torch.dtype, screen_filter: bool, images=IMAGES) -> dict[str, Tensor]:
+def run(scene, backend: str, dtype: torch.dtype, screen_filter: int, images=IMAGES) -> dict[str, Tensor]:
     """Images, gradients for random cotangents (the same for both backends), and side outputs, all float64."""
     inputs = scene.inputs(dtype)
     raster = rasterize(*inputs, *scene.view(dtype), backend=backend, screen_filter=screen_filter)
@@ -49,7 +50,7 @@ def relative_error(value: Tensor, truth: Tensor, floor: float = 0.0) -> float:
     return float((value - truth).norm()) / size if size else float((value - truth).norm())
 
 
-@pytest.mark.parametrize("screen_filter", [True, False])
+@pytest.mark.parametrize("screen_filter", [1, 2, 0])
 def test_cpu_equals_reference(scene, request, screen_filter) -> None:
     name = request.node.callspec.params["scene"]
     # the side of a splat seen exactly edge-on is decided by rounding, so its normal is left out there
@@ -62,6 +63,19 @@ def test_cpu_equals_reference(scene, request, screen_filter) -> None:
         tolerance = GRADIENT_TOLERANCE.get(name, 7e-4) if is_gradient else IMAGE_TOLERANCE.get(name, 3e-5)
         error = relative_error(value[key], expected, DISTORTION_FLOOR if key == "distortion" else 0.0)
         assert error <= tolerance, f"{key}: {error:.1e} > {tolerance:.1e}"
+
+
+def test_a_narrower_filter_is_the_usual_one_on_an_enlarged_image(scene) -> None:
+    """How the gsplat backend gets it: its filter is fixed in pixels."""
+    inputs = scene.inputs(torch.float32)
+    camera, lens, width, height = scene.view(torch.float32)
+    mask = torch.rand(height, width, generator=torch.Generator().manual_seed(2)) > 0.3
+    narrow = rasterize(*inputs, camera, lens, width, height, screen_filter=3, pixel_mask=mask)
+    large_lens, large_mask = enlarged(lens, mask, 3)
+    large = rasterize(*inputs, camera, large_lens, 3 * width, 3 * height, pixel_mask=large_mask)
+    small = thinned(large, 3)
+    for name in ("features", "alpha", "depth_expected"):
+        assert relative_error(getattr(small, name).detach(), getattr(narrow, name).detach()) < 1e-3, name
 
 
 @pytest.mark.parametrize("image", IMAGES)

@@ -85,15 +85,20 @@ def test_a_broken_checkpoint_is_as_none(tmp_path):
     assert checkpoint.load(tmp_path) is None
 
 
+@pytest.fixture(scope="module")
+def seed_noise(make_sources):
+    """Validation PSNR (dB) of three seeds: 34.5 to 35.9, measured; the start's sampling of the hull makes the difference."""
+    sources = make_sources(40, 16, roll=0.3)
+    return [trained(sources, SMALL.iterations, parameters=replace(SMALL, seed=k)).validate() for k in range(3)]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("scale", [1e-3, 1e4])
-def test_units_and_axes_do_not_matter(make_sources, scale):
-    sources = make_sources(40, 16, roll=0.3)
+def test_units_and_axes_change_no_more_than_the_seed_does(make_sources, seed_noise, scale):
     turn = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))[0]
     turn *= np.sign(np.linalg.det(turn))
-    there = moved(sources, scale, turn, scale * np.array([30.0, -20.0, 10.0]))
-    here = trained(sources, 200).validate()
-    assert trained(there, 200).validate() == pytest.approx(here, abs=1.0)
+    there = moved(make_sources(40, 16, roll=0.3), scale, turn, scale * np.array([30.0, -20.0, 10.0]))
+    assert min(seed_noise) - 0.5 < trained(there, SMALL.iterations).validate() < max(seed_noise) + 0.5
 
 
 @pytest.mark.slow

@@ -18,7 +18,7 @@ CUTOFF_RHO = CUTOFF_SIGMA**2
 
 SCREEN_INVERSE_VARIANCE = 2.0
 """Low-pass filter of 2DGS and gsplat: rho = min(u^2 + v^2, 2 |x - c|^2), a screen-space Gaussian of sigma 0.71 px, so a
-splat smaller than a pixel or seen edge-on is still sampled. [1 / px^2]"""
+splat smaller than a pixel or seen edge-on is still sampled. Times the square of `screen_filter`. [1 / px^2]"""
 
 NEAR_FRACTION = 0.01
 """Default near plane: this fraction of the median camera z of the splats in front of the camera (scale invariant)."""

@@ -36,7 +36,7 @@ def rasterize_cpu(
     *,
     near: float | None = None,
     pixel_mask: Tensor | None = None,  # [H, W]
-    screen_filter: bool = True,
+    screen_filter: int = 1,
 ) -> Raster:
     """`rasterize` on the CPU, computed in float32."""
     view = _View(world_to_camera, intrinsics, width, height, near, pixel_mask, screen_filter, len(means))
@@ -57,14 +57,14 @@ class _View:
         height: int,
         near: float | None,
         pixel_mask: Tensor | None,
-        screen_filter: bool,
+        screen_filter: int,
         count: int,
     ) -> None:
         lens = intrinsics.detach()
         self.lens = np.array([lens[0, 0], lens[1, 1], lens[0, 2], lens[1, 2]], np.float32)
         self.camera = np.ascontiguousarray(world_to_camera.detach().numpy(), np.float32)
-        self.width, self.height, self.near, self.screen_filter = width, height, near, screen_filter
-        self.screen = np.float32(k.SCREEN_INVERSE_VARIANCE if screen_filter else np.inf)
+        self.width, self.height, self.near = width, height, near
+        self.screen = np.float32(k.SCREEN_INVERSE_VARIANCE * screen_filter**2 if screen_filter else np.inf)
         self.mask = np.ones((height, width), bool) if pixel_mask is None else np.ascontiguousarray(pixel_mask.numpy())
         self.screen_gradient, self.visible, self.radii = (np.zeros(count, np.float32) for _ in range(3))
 
@@ -98,7 +98,7 @@ class _Rasterize(torch.autograd.Function):
         attributes = np.empty((count, -(-(channels + 3) // GROUP) * GROUP), np.float32)
         box = np.empty((count, 4), np.int32)
         run_on_all_cores(
-            project, *arrays, view.camera, view.lens, view.near_plane(arrays[0]), view.screen_filter, view.width, view.height,
+            project, *arrays, view.camera, view.lens, view.near_plane(arrays[0]), view.screen, view.width, view.height,
             geo, attributes, box, view.radii,
         )  # fmt: skip
         pairs = bin_splats(box, depth_order(geo), view.wanted_tiles())

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import os
 import shutil
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from types import SimpleNamespace
@@ -68,6 +69,27 @@ def tile_mask(pixel_mask: Tensor) -> Tensor:
     return pooled > 0
 
 
+def enlarged(intrinsics: Tensor, pixel_mask: Tensor | None, factor: int) -> tuple[Tensor, Tensor | None]:
+    """Lens and mask of an image `factor` times as large whose every `factor`-th pixel centre, from the first, is an old one."""
+    lens = intrinsics.clone()
+    lens[:2, :2] *= factor
+    lens[:2, 2] = factor * (intrinsics[:2, 2] - 0.5) + 0.5
+    if pixel_mask is None:
+        return lens, None
+    mask = pixel_mask.new_zeros(factor * pixel_mask.shape[0], factor * pixel_mask.shape[1])
+    mask[::factor, ::factor] = pixel_mask
+    return lens, mask
+
+
+def thinned(raster: Raster, factor: int) -> Raster:
+    """Every `factor`-th pixel of an enlarged raster; gradients and radii in the small image's pixels."""
+    images = ("features", "alpha", "normal", "depth_expected", "depth_median", "distortion")
+    small = {name: getattr(raster, name)[::factor, ::factor] for name in images}
+    # The gradient arrives in `backward`, in the tensor that `raster` holds: a view of it would miss the factor, so the
+    # densification's measure stays in enlarged pixels here. It is only ever compared with itself.
+    return replace(raster, **small, radii=raster.radii / factor)
+
+
 def rasterize_cuda(
     means: Tensor,  # [N, 3]
     quats: Tensor,  # [N, 4]
@@ -81,11 +103,19 @@ def rasterize_cuda(
     *,
     near: float | None = None,
     pixel_mask: Tensor | None = None,  # [H, W]
-    screen_filter: bool = True,
+    screen_filter: int = 1,
 ) -> Raster:
-    """`rasterize` by gsplat, in float32, on the device of `means`."""
+    """`rasterize` by gsplat, in float32, on the device of `means`.
+
+    gsplat's filter is fixed in pixels, so a narrower one is had by enlarging the image (`enlarged`).
+    """
     if not screen_filter:
         raise ValueError("gsplat always applies the screen-space filter")
+    if screen_filter > 1:
+        lens, mask = enlarged(intrinsics, pixel_mask, screen_filter)
+        size = (screen_filter * width, screen_filter * height)
+        splats = (means, quats, scales, opacities, features)
+        return thinned(rasterize_cuda(*splats, world_to_camera, lens, *size, near=near, pixel_mask=mask), screen_filter)
     gsplat = gsplat_functions()
     means, quats, scales, opacities, features = (t.float() for t in (means, quats, scales, opacities, features))
     camera = world_to_camera.detach().to(means)

@@ -26,7 +26,6 @@ ALPHA_MIN = _f(k.ALPHA_MIN)
 CUTOFF_RHO = _f(k.CUTOFF_RHO)
 MIN_COSINE = _f(k.MIN_COSINE)
 MIN_SIGMA_PX = _f(k.MIN_SIGMA_PX)
-INVERSE_VARIANCE = _f(k.SCREEN_INVERSE_VARIANCE)
 HALF_ANGLE = _f(k.MAX_HALF_ANGLE_FRACTION)
 MARGIN = _f(k.BOUNDS_MARGIN_PX)
 INFINITY = _f(np.inf)
@@ -102,7 +101,7 @@ def project(
     camera: np.ndarray,
     lens: np.ndarray,
     near: float,
-    screen_filter: bool,
+    screen: float,
     width: int,
     height: int,
     geo: np.ndarray,
@@ -110,7 +109,7 @@ def project(
     box: np.ndarray,
     radii: np.ndarray,
 ) -> None:
-    """Project every splat; lens is fx, fy, cx, cy.
+    """Project every splat; lens is fx, fy, cx, cy; screen: the low-pass filter's inverse variance, infinity for none.
 
     Fills geo [N, GEO]; attributes [N, A >= C + 3]: features, normal towards the camera, zeros; box [N, 4]: the tiles it can
     touch; radii [N]: half the larger side of its bounding box, at most the image's, 0 where it cannot be seen.
@@ -157,7 +156,7 @@ def project(
                 g[QX], g[QY] = nx / (facing * fx), ny / (facing * fy)
                 left, right = outline(X, z, su * tux, su * tuz, sv * tvx, sv * tvz, r2)
                 top, bottom = outline(Y, z, su * tuy, su * tuz, sv * tvy, sv * tvz, r2)
-            radius = math.sqrt(r2 / INVERSE_VARIANCE) if screen_filter else _f(0)
+            radius = math.sqrt(r2 / screen)
             g[CX], g[CY] = fx * X + lens[2], fy * Y + lens[3]
             g[LEFT], g[RIGHT] = g[CX] + min(fx * left, -radius) - MARGIN, g[CX] + max(fx * right, radius) + MARGIN
             g[TOP], g[BOTTOM] = g[CY] + min(fy * top, -radius) - MARGIN, g[CY] + max(fy * bottom, radius) + MARGIN

@@ -45,7 +45,7 @@ def rasterize(
     backend: str = "cpu",
     near: float | None = None,
     pixel_mask: Tensor | None = None,  # [H, W]
-    screen_filter: bool = True,
+    screen_filter: int = 1,
 ) -> Raster:
     """Blend perspective-correct 2D Gaussians (2DGS, Huang et al. 2024, Sec. 4) into images of one pinhole view.
 
@@ -60,7 +60,8 @@ def rasterize(
         backend: "cpu" (numba, float32), "reference" (torch, in the inputs' dtype: the definition), "cuda" (gsplat).
         near: splats and intersections nearer than this camera z are dropped; None: `NEAR_FRACTION` of the median depth.
         pixel_mask: True where pixels are wanted; tiles without any are skipped. [H, W] bool
-        screen_filter: rho = min(object space, screen space) as 2DGS and gsplat; False: object space only.
+        screen_filter: rho = min(object space, screen space); 1 is the low-pass filter of 2DGS and gsplat (sigma 0.71 px),
+            k one k times as narrow (sigma 0.71 / k px), 0 none: object space only.
 
     Raises:
         ValueError: a shape, a backend or the intrinsics are not as stated.
@@ -68,6 +69,8 @@ def rasterize(
     check_inputs(means, quats, scales, opacities, features, world_to_camera, intrinsics, width, height, pixel_mask)
     if near is not None and not near > 0:
         raise ValueError(f"near must be positive, got {near}")
+    if screen_filter < 0 or screen_filter != int(screen_filter):
+        raise ValueError(f"screen_filter must be 0, 1, 2, ..., got {screen_filter}")
     if backend not in BACKENDS:
         raise ValueError(f"unknown rasteriser backend {backend!r}; there are {', '.join(BACKENDS)}")
     room = import_module(f".{backend}", __package__)

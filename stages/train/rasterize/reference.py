@@ -69,7 +69,7 @@ def project(
     world_to_camera: Tensor,
     intrinsics: Tensor,
     near: float | None,
-    screen_filter: bool,
+    screen_filter: int,
 ) -> Projection:
     """Centres, ray-to-splat homographies, normals and bounding boxes of the splats that can contribute, in depth order."""
     rotation, focal = world_to_camera[:3, :3], torch.stack((intrinsics[0, 0], intrinsics[1, 1]))
@@ -102,7 +102,7 @@ def project(
 
 
 def bounds(
-    P: Tensor, z: Tensor, u: Tensor, v: Tensor, focal: Tensor, opacity: Tensor, flat: Tensor, screen_filter: bool
+    P: Tensor, z: Tensor, u: Tensor, v: Tensor, focal: Tensor, opacity: Tensor, flat: Tensor, screen_filter: int
 ) -> tuple[Tensor, Tensor]:
     """Box of the pixels where alpha can reach the threshold, relative to the centre. [M, 2] each, px
 
@@ -122,13 +122,13 @@ def bounds(
         high = torch.where(open_ended, math.inf, high)
         low, high = low.masked_fill(flat[:, None], 0.0), high.masked_fill(flat[:, None], 0.0)
         if screen_filter:
-            radius = (r2 / k.SCREEN_INVERSE_VARIANCE).sqrt()
+            radius = (r2 / k.SCREEN_INVERSE_VARIANCE).sqrt() / screen_filter
             low, high = torch.minimum(low, -radius), torch.maximum(high, radius)
         return low - k.BOUNDS_MARGIN_PX, high + k.BOUNDS_MARGIN_PX
 
 
 def splat_alpha(
-    pixels: Tensor, splats: Projection, centre: Tensor, opacity: Tensor, near: float, screen_filter: bool
+    pixels: Tensor, splats: Projection, centre: Tensor, opacity: Tensor, near: float, screen_filter: int
 ) -> tuple[Tensor, Tensor]:
     """Opacity and camera z of every splat at every pixel. pixels [P, 2], centre [P, n, 2] -> [P, n] each"""
     delta = pixels[:, None] - centre  # [P, n, 2]
@@ -139,7 +139,7 @@ def splat_alpha(
     rho = torch.where(in_front, (u * u + v * v) / (q * q), torch.full_like(q, math.inf))
     z = splats.depth / q
     if screen_filter:
-        screen = k.SCREEN_INVERSE_VARIANCE * (delta * delta).sum(-1)
+        screen = k.SCREEN_INVERSE_VARIANCE * screen_filter**2 * (delta * delta).sum(-1)
         z = torch.where(screen < rho, splats.depth.expand_as(z), z)
         rho = torch.minimum(rho, screen)
     inside = rho <= k.CUTOFF_RHO
@@ -182,7 +182,7 @@ def rasterize_reference(
     *,
     near: float | None = None,
     pixel_mask: Tensor | None = None,  # [H, W]
-    screen_filter: bool = True,
+    screen_filter: int = 1,
 ) -> Raster:
     """`rasterize` by its definition, in the dtype of `means`."""
     count, channels, dtype = len(means), features.shape[1], means.dtype
