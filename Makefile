@@ -9,10 +9,10 @@ STAGES := decode poses masks olat train mesh relight metrics
 OPTIONS = $(if $(CAPTURE),"$(CAPTURE)") $(if $(DATASET),--dataset "$(DATASET)") --params "$(PARAMS)" --envs '$(ENVS)' --device $(DEVICE) --jobs $(JOBS)
 READY := $(VENV)/.ready
 
-.PHONY: all plan inspect report gc $(STAGES) setup demo synth test test-fast lint bench bench-train bench-olat bench-rasterize clean help
+.PHONY: all plan inspect report gc $(STAGES) setup demo test test-fast lint bench bench-train bench-olat bench-rasterize clean help
 .DEFAULT_GOAL := help
 
-all plan inspect report gc $(STAGES): $(READY)  ## every stage, one stage, or a look at what would run
+all plan inspect report gc $(STAGES): $(READY)
 	@$(BIN)/polarfield $@ $(OPTIONS)
 
 setup: $(READY)  ## the environment alone
@@ -20,7 +20,7 @@ setup: $(READY)  ## the environment alone
 $(READY): pyproject.toml constraints.txt tools/system_libraries.sh
 	@bash tools/system_libraries.sh
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[test]'
+	$(BIN)/python -m pip install --quiet --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[test]'
 	@touch $@
 
 demo: $(READY)  ## a tiny synthetic capture through every stage
@@ -51,5 +51,14 @@ clean:  ## caches and the demo; never a dataset
 
 help:
 	@echo "make all CAPTURE=folder [DATASET=folder] [PARAMS='train.iterations=500'] [ENVS='a.hdr b.hdr'] [DEVICE=cpu|cuda] [JOBS=n]"
-	@echo "stages: $(STAGES)"
-	@grep -hE '^[a-z][a-z -]*:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*##/\t/' | expand -t 26
+	@echo
+	@echo "all                       every stage that the capture needs"
+	@echo "inspect                   a page that shows what was understood of a capture, before anything long runs"
+	@echo "plan                      what would run, and why"
+	@echo "report                    bring the metrics up to date and say where the report lies"
+	@echo "gc                        remove versions that are not in use; DATASET=folder"
+	@echo "$(STAGES)"
+	@echo "                          one stage and what it needs"
+	@grep -hE '^[a-z][a-z -]*:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## */\t/' | expand -t 26
+	@echo
+	@echo "$(BIN)/polarfield STAGE --help lists a stage's parameters"

@@ -106,6 +106,10 @@ def _bring_up_to_date(
         print(f"{target.stage.name}: not needed ({target.decision.reason})")
         return 0
     _describe(dataset, capture, steps)
+    if options.command == "all" and any(dataset.find(s.stage.name, s.key) is None for s in wanted):
+        for step in steps:
+            if not step.decision.run:
+                progress.say(f"{step.stage.name}: left out ({step.decision.reason})")
     made = 0
     for step in wanted:
         version = dataset.find(step.stage.name, step.key)
@@ -195,6 +199,7 @@ def _paths(options: argparse.Namespace) -> tuple[Path, Path]:
         recorded = Dataset(Path(options.dataset)).read_description().get("capture")
         if recorded:
             return Path(os.path.normpath(Path(options.dataset).absolute() / recorded)), Path(options.dataset)
+        raise UserError(options.dataset, "holds no dataset that tells its capture", "check DATASET=, or give CAPTURE= too")
     raise UserError("CAPTURE", "no capture folder was given", f"as in `make {options.command} CAPTURE=folder`")
 
 

@@ -48,7 +48,7 @@ def needed(capture: Capture, parameters: MeshParameters) -> Decision:
     if capture.kind == "light_stage":
         return Decision(False, "a light stage has no views all around, so no model to take a surface from")
     if len(capture.views) < MIN_TRAINING_VIEWS:
-        return Decision(False, f"{len(capture.views)} views are too few for a model ({MIN_TRAINING_VIEWS} needed)")
+        return Decision(False, f"too few views for a model: {len(capture.views)}, at least {MIN_TRAINING_VIEWS} are needed")
     return Decision(True, "a model is trained: its depth images become a surface")
 
 

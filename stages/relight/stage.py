@@ -43,7 +43,7 @@ class RelightParameters:
 def needed(capture: Capture, parameters: RelightParameters) -> Decision:
     """Where there are maps, and something that can be lit."""
     if capture.kind != "light_stage" and len(capture.views) < MIN_TRAINING_VIEWS:
-        return Decision(False, f"{len(capture.views)} views are too few for a model ({MIN_TRAINING_VIEWS} needed)")
+        return Decision(False, f"too few views for a model: {len(capture.views)}, at least {MIN_TRAINING_VIEWS} are needed")
     count = len(capture.environments)
     if not count:
         return Decision(False, "no environment maps: none in envmaps/, none in ENVS=")

@@ -107,10 +107,17 @@ def test_one_view_gives_what_one_view_can(views):
     for path in [*(views / "images").iterdir(), *(views / "masks").iterdir()]:
         if path.stem != "000":
             path.unlink()
-    outcome = run(views, "plan")
-    assert outcome.status in (0, 2)
-    assert "view" in outcome.out + outcome.err
-    assert "Traceback" not in outcome.err
+    outcome = run(views, "all")
+    assert outcome.status == 0, outcome.err
+    assert "train: left out" in outcome.out + outcome.err
+    assert (views.parent / "out" / "metrics" / "current" / "report.html").exists()
+    again = run(views, "all")
+    assert "left out" not in again.out + again.err  # nothing to do: nothing to say
+
+
+@pytest.mark.parametrize("command", ["all", "gc"])
+def test_dataset_that_is_none_is_named(tmp_path, command):
+    assert_refused(polarfield(command, "--dataset", tmp_path / "nothing"), "nothing", "DATASET=")
 
 
 def test_pixels_that_are_not_numbers_are_told_and_harmless(views):
