@@ -84,7 +84,7 @@ def measure(width: int, height: int, lights: int) -> dict[str, float]:
         root, dataset = Path(made) / "capture", Path(made) / "dataset"
         pixels = write_capture(root, width, height, lights)
         command = [sys.executable, "-m", "stages", "olat", str(root), "--dataset", str(dataset)]
-        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+        subprocess.run(command, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         manifest = json.loads((dataset / "olat" / "current" / "manifest.json").read_text())
         reading = read_only(root, dataset)
     found = {
@@ -102,5 +102,5 @@ def large_frames(width: int = 192, heights: tuple[int, ...] = (256, 1024), light
         root = Path(made) / "capture"
         write_capture(root, 64, 64, 60)
         command = [sys.executable, "-m", "stages", "olat", str(root), "--dataset", str(Path(made) / "dataset")]
-        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+        subprocess.run(command, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     return [measure(width, height, lights) for height in heights]

@@ -16,12 +16,16 @@ def plot_solvers(record: dict[str, Any], path: Path) -> None:
 
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
+    from matplotlib.ticker import NullFormatter
 
     figure, axes = plt.subplots(1, 5, figsize=(20, 4.4), sharey=True)
     colours = {name: f"C{k + 1}" for k, name in enumerate(record["theirs"])}
     for axis, quantity in zip(axes, QUANTITIES):
         ours = record["ours"][quantity]
         axis.loglog(ours["seconds"], max(ours["gradient"], FLOOR), "*", color="k", ms=15, label="ours (closed), one thread")
+        double = record["ours"].get(f"{quantity}_float64")
+        if double:
+            axis.loglog(double["seconds"], max(double["gradient"], FLOOR), "*", mfc="w", mec="k", ms=13, label="ours, float64")
         for name, cells in record["theirs"].items():
             if quantity in cells:
                 cell = cells[quantity]
@@ -32,10 +36,12 @@ def plot_solvers(record: dict[str, Any], path: Path) -> None:
                     *published[quantity], "x", color=colours.get(name, "0.6"), label="PRF, A6000" if name == "gd" else None
                 )
         axis.set_title(UNITS[quantity])
+        axis.xaxis.set_minor_formatter(NullFormatter())
+        axis.set_xlim(3e-7, 1e-2)
         axis.set_xlabel("seconds a pixel")
         axis.grid(alpha=0.3)
     axes[0].set_ylabel("gradient norm at the end")
-    axes[1].legend(fontsize=7)
+    axes[1].legend(fontsize=6, loc="center right")
     figure.tight_layout()
     figure.savefig(path, dpi=100)
 

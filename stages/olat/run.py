@@ -37,6 +37,7 @@ PRIOR = (1 / np.radians(0.5)) ** 2  # n_s and n_d of one surface agree to about 
 GAIN = 0.9
 MIXED = 1.0
 PILOT = 600  # pixels on which the lobe is chosen
+PILOT_CHUNKS = 3  # places in the frame that they come from
 LEAST_LIGHT = 0.05
 TOLERANCE = {"float32": 3e-6, "float64": 1e-12}
 
@@ -109,16 +110,19 @@ def choose_lobe(stage: StageRun, job: CameraJob, rig: LightTable, settings: Sett
     parameters: OlatParameters = stage.parameters
     if parameters.lobe != "auto" or settings.gradient:
         return settings
-    half, bands = frames_plan(job, rig, parameters)
-    band = max(bands, key=lambda b: len(b.pixels))
-    picked = band.pixels[:: max(1, len(band.pixels) // PILOT)]
-    samples = next(iter(read_bands(job.cross, job.parallel, [replace(band, pixels=picked)], half)))
-    view = -job.camera.rays().reshape(-1, 3)[picked]
+    half = frames_plan(job, rig, parameters)[0]
+    chunks = bands_of(job.mask, len(rig), 0.0, 2)  # single chunks of scanlines: little to read
+    chosen = [chunks[k] for k in sorted({len(chunks) * q // (PILOT_CHUNKS + 1) for q in range(1, PILOT_CHUNKS + 1)})]
+    step = max(1, sum(len(chunk.pixels) for chunk in chosen) // PILOT)
+    thinned = [replace(chunk, pixels=chunk.pixels[::step]) for chunk in chosen]
+    parts = list(read_bands(job.cross, job.parallel, thinned, half))
+    cross, parallel = (np.concatenate([getattr(part, side) for part in parts], 1) for side in ("cross", "parallel"))
+    view = -job.camera.rays().reshape(-1, 3)[np.concatenate([chunk.pixels for chunk in thinned])]
     points = nearest_points(job.camera, view) if stage.capture.config.olat.near_light else None
     found = {}
     for name in ("ward", "beckmann"):
         trial = settings._replace(lobe=LOBES[name])
-        rows, _ = fit(samples.cross, samples.parallel, view, rig, trial, parameters.precision, points)
+        rows, _ = fit(cross, parallel, view, rig, trial, parameters.precision, points)
         found[name] = rows
     sound = (found["ward"][:, FLAG] == 0) & (found["beckmann"][:, FLAG] == 0)
     better = found["beckmann"][sound, RESIDUAL] < found["ward"][sound, RESIDUAL]
