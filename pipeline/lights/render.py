@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from pipeline.lights.lobes import values
 
+TURNS = 6  # tangents over which a lobe without a tangent of its own is averaged
+
 
 @njit(cache=True, error_model="numpy")
 def _inverse_width(sigma, spread):
@@ -42,25 +44,32 @@ def _render(lobe, view, normal_d, normal_s, tangent, sigma, albedo_s, directions
             continue
         frame, shape = np.empty((3, 3)), np.zeros(3)
         t = tangent[p].copy()
-        if t[0] * t[0] + t[1] * t[1] + t[2] * t[2] < 0.25:  # a round lobe: any tangent
+        turns = 1
+        if t[0] * t[0] + t[1] * t[1] + t[2] * t[2] < 0.25:  # a round lobe: any tangent; several in one pixel: all of them
+            turns = 1 if sigma[p, 0] == sigma[p, 1] else TURNS
             t[:] = 0.0
             t[np.argmin(np.abs(m))] = 1.0
         dot = t[0] * m[0] + t[1] * m[1] + t[2] * m[2]
         t -= dot * m
         t /= math.sqrt(t[0] * t[0] + t[1] * t[1] + t[2] * t[2])
-        frame[0], frame[2] = t, m
-        frame[1, 0] = m[1] * t[2] - m[2] * t[1]
-        frame[1, 1] = m[2] * t[0] - m[0] * t[2]
-        frame[1, 2] = m[0] * t[1] - m[1] * t[0]
+        b = np.empty(3)
+        b[0] = m[1] * t[2] - m[2] * t[1]
+        b[1] = m[2] * t[0] - m[0] * t[2]
+        b[2] = m[0] * t[1] - m[1] * t[0]
+        frame[2] = m
         shape[0], shape[1] = _inverse_width(sigma[p, 0], spread), _inverse_width(sigma[p, 1], spread)
-        lobes = np.empty(used)
+        one, lobes = np.empty(used), np.zeros(used)
         h = (half[0, :used], half[1, :used], half[2, :used])
         i = (incident[0, :used], incident[1, :used], incident[2, :used])
-        values(lobe, frame, shape, o, h, i, lobes)
+        for turn in range(turns):
+            along, across = math.cos(turn * math.pi / turns), math.sin(turn * math.pi / turns)
+            frame[0], frame[1] = along * t + across * b, along * b - across * t
+            values(lobe, frame, shape, o, h, i, one)
+            lobes += one / turns
         for j in range(used):
             g = albedo_s[p] * lobes[j]
-            for c in range(3):
-                out[p, 1, c] += g * light[index[j], c]
+            for channel in range(3):
+                out[p, 1, channel] += g * light[index[j], channel]
 
 
 def render_pixels(
@@ -77,7 +86,8 @@ def render_pixels(
 ) -> NDArray[np.float64]:
     """Irradiance and specular radiance [P, 2, 3] of P pixels under M lights.
 
-    view, normals, tangent [P, 3]; sigma [P, 2] (larger first, along the tangent); albedo_s [P]; directions [M, 3]; light
+    view, normals, tangent [P, 3]; sigma [P, 2] (larger first, along the tangent; averaged over tangents where
+    that is 0); albedo_s [P]; directions [M, 3]; light
     [M, 3]: irradiance; spread (rad): added to the widths in quadrature.
     """
     out = np.zeros((len(view), 2, 3))

@@ -9,14 +9,14 @@ from numpy.typing import NDArray
 
 from pipeline.cameras import camera_from_frame
 from pipeline.images import read_mask, srgb_encode, write_exr, write_png
-from pipeline.lights.relighting import relight_maps, relight_olat
+from pipeline.lights.relighting import relight_maps, relight_olat, relighting_error
 from pipeline.stage import StageRun
 
 from .maps import RGB, read_map
 
 
 def relight_stage(run: StageRun) -> None:
-    """Write ENV/camNN.exr (maps) and ENV/camNN_olat.exr (frames), with previews."""
+    """Write ENV/camNN.exr (maps), ENV/camNN_olat.exr (frames) and ENV/camNN_error.exr (their difference), with previews."""
     index_path = run.inputs["decode"] / "olat.json"
     index = json.loads(index_path.read_text())
     config = run.capture.config.olat
@@ -29,14 +29,20 @@ def relight_stage(run: StageRun) -> None:
                 run.warn(fault)
             for name in names:
                 camera = camera_from_frame({"file_path": name, **index["cameras"][name]["camera"]}, {}, index_path)
+                mask = _mask(run, name)
                 summed = relight_olat(
-                    index, run.capture.root, name, radiance, _mask(run, name),
+                    index, run.capture.root, name, radiance, mask,
                     irradiance=config.irradiance, specular_factor=config.specular_factor, up=up,
                 )  # fmt: skip
                 _write(run, path.stem, f"{name}_olat", summed)
                 if "olat" in run.inputs:
                     shaded = relight_maps(run.inputs["olat"] / name, camera, radiance, up=up)
                     _write(run, path.stem, name, shaded)
+                    inside = np.asarray(shaded.any(-1)) if mask is None else mask
+                    error = relighting_error(summed, shaded, inside)
+                    write_exr(run.output / path.stem / f"{name}_error.exr", {"Y": error})
+                    if inside.any():
+                        run.note(f"{path.stem}.{name}.maps_error_median", round(float(np.median(error[inside])), 4))
                 bar.advance(1)
 
 

@@ -81,3 +81,23 @@ def test_the_sum_is_linear_in_the_map_and_in_the_lights_irradiance(stage):
     one = relight_olat(index, root, "cam00", sky("gradient"), inside)
     assert np.allclose(relight_olat(index, root, "cam00", 3 * sky("gradient"), inside), 3 * one, rtol=1e-5)
     assert np.allclose(relight_olat(index, root, "cam00", sky("gradient"), inside, irradiance=2 * np.pi), one / 2, rtol=1e-5)
+
+
+@pytest.mark.slow  # the renderer compiles for some seconds
+def test_a_lobe_without_a_tangent_of_its_own_is_averaged_over_tangents():
+    from pipeline.lights.render import render_pixels
+
+    lights = fibonacci_sphere(300)
+    n = np.array([[0.1, 0.2, 0.97]]) / np.linalg.norm([0.1, 0.2, 0.97])
+    view, light, none = np.array([[0.0, 0.0, 1.0]]), np.abs(lights) + 0.1, np.zeros((1, 3))
+
+    def shine(tangent: np.ndarray, sigma: tuple[float, float]) -> np.ndarray:
+        widths = np.array([sigma])
+        return render_pixels(0, view, n, n, tangent, widths, np.ones(1), lights, light, 0.0)[0, 1]
+
+    first = np.cross([[0.0, 1.0, 0.0]], n)
+    second = np.cross(n, first)
+    turned = [np.cos(a) * first + np.sin(a) * second for a in np.arange(12) * np.pi / 12]
+    mean = np.mean([shine(t, (0.4, 0.15)) for t in turned], 0)
+    assert np.allclose(shine(none, (0.4, 0.15)), mean, rtol=0.01)
+    assert np.allclose(shine(none, (0.3, 0.3)), shine(first, (0.3, 0.3)), rtol=1e-6)
