@@ -92,11 +92,15 @@ class OlatConfig:
 
 @dataclass(frozen=True)
 class PosesConfig:
-    """Facts that fix cameras: `focal_px` (known focal length), `scale_pair` = two views and their distance in world units."""
+    """Facts that fix cameras: `focal_px` (known focal length), `scale_pair` = two views and their distance in world units,
+    or `marker_length` = a side of the square ArUco markers in view, of `marker_dictionary` as OpenCV names it.
+    """
 
     focal_px: float | None = None
     scale_pair: tuple[str, ...] | None = None
     scale_distance: float | None = None
+    marker_length: float | None = None
+    marker_dictionary: str = "4X4_50"
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,7 @@
 """Poses: given cameras in the dataset's schemas, COLMAP models read, cameras found from photographs."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ from pipeline.cameras import load_cameras
 from pipeline.capture import open_capture
 from pipeline.capture.camera_source import decompose
 from pipeline.capture.colmap import pose_matrix, read_model
+from pipeline.capture.config import PosesConfig
 from pipeline.errors import UserError
 from pipeline.images import write_png
 from stages.calib.poses.write import quaternion, write_sparse
@@ -120,6 +123,46 @@ def test_a_known_distance_sets_the_scale_and_a_known_focal_length_is_kept(corner
     )
     assert np.linalg.norm(found["000"].centre - found["006"].centre) == pytest.approx(distance, rel=1e-6)
     assert found["000"].fx == 560.0
+
+
+def test_marker_of_known_length_sets_the_scale(corner, corner_scene, tmp_path):
+    from stages.calib.poses.scale import world_scale
+
+    pictures = {f"{i:03d}": tmp_path / f"{i:03d}.png" for i in range(len(corner[0]))}
+    for (_, path), image in zip(sorted(pictures.items()), corner[0]):
+        write_png(path, image)
+    cameras = dict(zip(sorted(pictures), corner[1]))
+    told = PosesConfig(marker_length=0.05)
+    assert world_scale(told, cameras, pictures, tmp_path) == pytest.approx(0.05 / corner_scene.marker_side, rel=0.02)  # measured 1.1 %
+    with pytest.raises(UserError, match=r"no marker of 5X5_50.*two or more views"):
+        world_scale(PosesConfig(marker_length=0.05, marker_dictionary="5X5_50"), cameras, pictures, tmp_path)
+    with pytest.raises(UserError, match=r"marker_dictionary = 'QR'"):
+        world_scale(PosesConfig(marker_length=0.05, marker_dictionary="QR"), cameras, pictures, tmp_path)
+
+
+@pytest.mark.slow
+def test_two_pictures_of_one_name_are_a_head_with_one_relative_pose(corner_scene, run_stages, tmp_path):
+    """Cameras A and B turn together about the corner, B a hand's breadth beside A."""
+    base = [corner_scene.camera(25 + 6 * i, 0.05 * (i % 3)) for i in range(6)]
+    beside = np.eye(4)
+    beside[:3, 3] = [-0.35, 0.02, 0.0]
+    frames = {"A": base, "B": [replace(c, world_to_camera=beside @ c.world_to_camera) for c in base]}
+    for name, cameras in frames.items():
+        for i, camera in enumerate(cameras):
+            write_png(tmp_path / "c" / "images" / name / f"{i:03d}.png", corner_scene.picture(camera))
+    toml = "[polarisers.A]\nangle_deg = 0\ntrusted = false\n[polarisers.B]\nangle_deg = 60\ntrusted = false\n"
+    (tmp_path / "c" / "capture.toml").write_text(toml)
+    run = run_stages(tmp_path / "c", tmp_path / "d", "decode", "poses", poses=FEW)["poses"]
+    assert len(run.facts["rig"]) == 2 and run.facts["registered"] == 12
+    found = load_cameras(run.output / "cameras.json")
+    assert {c.name for c in found.values()} == {"A", "B"}
+    between = [
+        found[f"B_{i:03d}"].world_to_camera @ np.linalg.inv(found[f"A_{i:03d}"].world_to_camera) for i in range(len(base))
+    ]
+    for pose in between[1:]:
+        np.testing.assert_allclose(pose, between[0], atol=1e-9)
+    direction = between[0][:3, 3] / np.linalg.norm(between[0][:3, 3])
+    assert direction @ (beside[:3, 3] / np.linalg.norm(beside[:3, 3])) > np.cos(np.radians(3))
 
 
 def test_too_few_views_and_featureless_views_say_what_to_try(run_stages, tmp_path):

@@ -19,6 +19,7 @@ from pipeline.capture.files import count, some
 from pipeline.errors import UserError
 from pipeline.stage import StageRun
 from stages.calib.poses.proxies import Proxy, write_masks, write_proxies
+from stages.calib.poses.scale import world_scale
 from stages.calib.poses.straighten import write_cameras
 from stages.calib.poses.write import write_points, write_sparse
 
@@ -263,9 +264,6 @@ def _finish(stage: StageRun, model: Any, proxies: list[Proxy]) -> None:
         stage.warn(
             f"{stage.capture.root}: no camera found for {count(lost, 'view')} ({some(lost)}): they are left out. Try {ADVICE}"
         )
-    scale = _world_scale(stage, model, view_of)
-    if scale != 1.0:
-        model.transform(stage_similarity(scale))
     error = float(model.compute_mean_reprojection_error())
     for image_id in model.reg_image_ids():
         model.images[image_id].name = view_of[model.images[image_id].name]
@@ -273,6 +271,14 @@ def _finish(stage: StageRun, model: Any, proxies: list[Proxy]) -> None:
     sparse.mkdir()
     model.write_text(str(sparse))
     found = read_model(sparse)
+    config = stage.capture.config
+    pictures = {p.view: stage.scratch / "colmap" / "images" / p.name for p in proxies}
+    scale = world_scale(config.poses, found.cameras, pictures, config.path or stage.capture.root)
+    if scale != 1.0:
+        model.transform(stage_similarity(scale))
+        model.write_text(str(sparse))
+        found = read_model(sparse)
+        stage.note("scale", scale)
     write_cameras(stage, {v: replace(c, name=camera_of[v]) for v, c in found.cameras.items()})
     points, colours = _points(model)
     write_points(stage.output / "points.ply", points, colours)
@@ -289,22 +295,6 @@ def stage_similarity(scale: float) -> Any:
     import pycolmap
 
     return pycolmap.Sim3d(scale, pycolmap.Rotation3d(), np.zeros(3))
-
-
-def _world_scale(stage: StageRun, model: Any, view_of: dict[str, str]) -> float:
-    """Factor to the world units that capture.toml's [poses] tells by the distance of two views' cameras."""
-    told = stage.capture.config.poses
-    if told.scale_pair is None or told.scale_distance is None:
-        return 1.0
-    centres = {view_of[model.images[i].name]: model.images[i].projection_center() for i in model.reg_image_ids()}
-    missing = [v for v in told.scale_pair if v not in centres]
-    if len(told.scale_pair) != 2 or missing:
-        what = f"has no camera for {missing[0]}" if missing else "is not two views"
-        raise UserError(
-            stage.capture.config.path or stage.capture.root, f"poses.scale_pair {what}", "name two registered views"
-        )
-    first, second = (centres[v] for v in told.scale_pair)
-    return float(told.scale_distance / np.linalg.norm(first - second))
 
 
 def _frames(stage: StageRun) -> dict[str, dict]:
