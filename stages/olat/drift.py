@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.olat.frames import Samples
+from stages.olat.frames import Samples, bands_of, read_bands
 
+ALIGN_LIGHTS = 32  # a pass, of which `EVERY`-th are looked at: enough edges to see a shift before the fits
 WARN_PX = 0.5  # a shift that mixes neighbouring pixels
 EVERY = 4  # lights: enough for a mean image
 SIDE = 960  # pixels of the longer side at which the shift is measured
@@ -65,3 +68,15 @@ def _edges(image: NDArray[np.float64]) -> NDArray[np.float64]:
     """Strength of relative change: what the diffuse and the shiny image of one object share."""
     log = np.log(np.maximum(image, 1e-3 * float(image.max() or 1.0)))
     return np.hypot(*np.gradient(log))
+
+
+def measure(
+    cross: list[Path], parallel: list[Path], mask: NDArray[np.bool_], half: bool, band_mb: float
+) -> tuple[float, float]:
+    """(right, down) shift of the parallel pass from a few lights of each. Raises UserError."""
+    step = max(1, len(cross) // ALIGN_LIGHTS)
+    few = cross[::step], parallel[::step]
+    drift = Drift(mask.shape[1], mask.shape[0])
+    for samples in read_bands(*few, bands_of(mask, len(few[0]), band_mb, 2 if half else 4), half):
+        drift.add(samples)
+    return drift.shift()

@@ -67,9 +67,19 @@ def is_half(path: Path) -> bool:
 
 
 def read_bands(
-    cross: list[Path], parallel: list[Path], bands: list[Band], half: bool, readers: int = READERS
+    cross: list[Path],
+    parallel: list[Path],
+    bands: list[Band],
+    half: bool,
+    readers: int = READERS,
+    shift: tuple[int, int] = (0, 0),
+    height: int = 0,
 ) -> Iterator[Samples]:
-    """The samples of each band in turn; the next band is read while the caller works on this one. Raises UserError."""
+    """The samples of each band in turn; the next band is read while the caller works on this one.
+
+    shift: whole pixels (right, down) by which the parallel pass lies off the crossed one, undone on reading (`height`: of the
+    frames; pixels beyond their edge repeat it). Raises UserError.
+    """
     frames = [*cross, *parallel]
     count = len(cross)
     kind = np.uint16 if half else np.float32
@@ -80,7 +90,8 @@ def read_bands(
         parts = [frames[k :: 4 * readers] for k in range(4 * readers)]
         places = [range(2 * count)[k :: 4 * readers] for k in range(4 * readers)]
         flat = buffer.reshape(2 * count, len(band.pixels), 3)
-        tasks = [pool.submit(_read_part, part, place, band, half, flat) for part, place in zip(parts, places)]
+        moves = [[shift if k >= count else (0, 0) for k in place] for place in places]
+        tasks = [pool.submit(_read_part, *task, band, half, height, flat) for task in zip(parts, places, moves)]
         return samples, tasks
 
     with ThreadPoolExecutor(readers) as pool:
@@ -97,11 +108,20 @@ def read_bands(
             pool.shutdown(wait=False, cancel_futures=True)
 
 
-def _read_part(paths: list[Path], places: range, band: Band, half: bool, out: NDArray) -> None:
-    for path, place in zip(paths, places):
-        rows = read_rows(path, band.top, band.bottom, half)
-        start = band.top * rows.shape[1]
-        out[place] = rows.reshape(-1, 3)[band.pixels - start]
+def _read_part(
+    paths: list[Path], places: range, moves: list[tuple[int, int]], band: Band, half: bool, height: int, out: NDArray
+) -> None:
+    for path, place, (right, down) in zip(paths, places, moves):
+        if not (right or down):
+            rows = read_rows(path, band.top, band.bottom, half)
+            out[place] = rows.reshape(-1, 3)[band.pixels - band.top * rows.shape[1]]
+            continue
+        top = min(max(band.top + down, 0), height - 1)
+        bottom = max(min(band.bottom + down, height), top + 1)
+        rows = read_rows(path, top, bottom, half)
+        row, column = np.divmod(band.pixels, rows.shape[1])
+        row, column = np.clip(row + down, top, bottom - 1) - top, np.clip(column + right, 0, rows.shape[1] - 1)
+        out[place] = rows[row, column]
 
 
 def read_rows(path: Path, top: int, bottom: int, half: bool) -> NDArray:

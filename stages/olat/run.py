@@ -22,7 +22,7 @@ from pipeline.lights.lobes import LOBES
 from pipeline.lights.solid_angles import solid_angles
 from pipeline.stage import StageRun
 from stages.olat.columns import FLAG, RESIDUAL, columns
-from stages.olat.drift import WARN_PX, Drift
+from stages.olat.drift import WARN_PX, Drift, measure
 from stages.olat.fit import fit
 from stages.olat.footprint import with_neighbours
 from stages.olat.frames import Band, Samples, bands_of, is_half, read_bands
@@ -160,6 +160,7 @@ def fit_camera(stage: StageRun, job: CameraJob, rig: LightTable, settings: Setti
     parameters: OlatParameters = stage.parameters
     half, bands = frames_plan(job, rig, parameters)
     view = -job.camera.rays().reshape(-1, 3)
+    shift = alignment(stage, job, half)
     counts, drift, directed = np.zeros(len(FLAGS), int), Drift(job.camera.width, job.camera.height), 0
     with (
         stage.progress.bar(f"fitting {job.name}", int(job.mask.sum()), "px") as bar,
@@ -167,7 +168,7 @@ def fit_camera(stage: StageRun, job: CameraJob, rig: LightTable, settings: Setti
     ):
 
         def fitted() -> Iterator[tuple[Band, NDArray[np.float64]]]:
-            for samples in read_bands(job.cross, job.parallel, bands, half):
+            for samples in read_bands(job.cross, job.parallel, bands, half, shift=shift, height=job.camera.height):
                 drift.add(samples)
                 rows = fit_band(stage, job, samples, view[samples.band.pixels], rig, settings, threads)
                 bar.advance(len(rows))
@@ -190,6 +191,20 @@ def fit_camera(stage: StageRun, job: CameraJob, rig: LightTable, settings: Setti
         )
     stage.note(f"{job.name}.tangent_pixels", directed)
     stage.note(f"{job.name}.flags", {name: int(n) for name, n in zip(FLAGS, counts) if n})
+
+
+def alignment(stage: StageRun, job: CameraJob, half: bool) -> tuple[int, int]:
+    """Whole pixels (right, down) by which the parallel pass lies off the crossed one; (0, 0) where `align` is off."""
+    if not stage.parameters.align:
+        return 0, 0
+    right, down = (round(v) for v in measure(job.cross, job.parallel, job.mask, half, stage.parameters.band_mb))
+    if right or down:
+        stage.note(f"{job.name}.aligned_px", [right, down])
+        stage.warn(
+            f"{job.name}: the parallel pass lay {right:+d} px right and {down:+d} px down of the crossed one and was read back "
+            "into place; capture again with the object fixed for better maps"
+        )
+    return right, down
 
 
 def fit_band(

@@ -48,6 +48,9 @@ class OlatParameters:
         default="surface", metadata={"help": "sigma: surface, without the spread of normals within a pixel; pixel, with it"}
     )
     albedo_over_occlusion: bool = field(default=False, metadata={"help": "divide the albedos by the occlusion maps (noisy)"})
+    align: bool = field(
+        default=True, metadata={"help": "undo a shift of the parallel pass against the crossed one, in whole pixels"}
+    )
     lights: str = field(default="all", metadata={"help": "all, or every=k: each k-th light"})
     precision: Literal["float32", "float64"] = field(default="float32", metadata={"help": "arithmetic of the fits"})
     band_mb: float = field(default=96.0, metadata={"help": "samples held of one band of scanlines (MiB); two bands are held"})

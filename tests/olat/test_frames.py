@@ -5,7 +5,7 @@ import pytest
 
 from pipeline.errors import UserError
 from pipeline.images import write_exr
-from stages.olat.drift import Drift
+from stages.olat.drift import Drift, measure
 from stages.olat.frames import Band, Samples, bands_of, read_bands, read_rows
 from stages.olat.stage import OlatParameters, every
 
@@ -71,3 +71,24 @@ def test_light_selections_without_meaning_are_refused():
     for bad in ("every=0", "half", "every=x"):
         with pytest.raises(ValueError, match="every=k"):
             OlatParameters(lights=bad)
+
+
+def test_a_shifted_parallel_pass_is_found_and_read_back_into_place(tmp_path):
+    rng = np.random.default_rng(3)
+    height, width, right, down = 80, 64, 3, -5
+    grid = np.mgrid[:height, :width]
+    blobs = sum(np.exp(-((grid - rng.uniform(15, 50, (2, 1, 1))) ** 2).sum(0) / 12) for _ in range(25)) + 0.05
+    paths: dict[str, list] = {"cross": [], "parallel": []}
+    for k in range(8):
+        image = (blobs * (1 + 0.1 * k)).astype(np.float16).astype(np.float32)
+        for name, moved in (("cross", image), ("parallel", np.roll(image, (down, right), (0, 1)))):
+            path = tmp_path / name / f"{k:06d}.exr"
+            write_exr(path, dict.fromkeys("RGB", moved), half=True)
+            paths[name].append(path)
+    mask = np.zeros((height, width), bool)
+    mask[8:72, 6:58] = True
+    found = measure(paths["cross"], paths["parallel"], mask, True, 1.0)
+    assert np.allclose(found, (right, down), atol=0.3)
+    bands = bands_of(mask, 8, 0.02, 2)
+    for samples in read_bands(paths["cross"], paths["parallel"], bands, True, shift=(right, down), height=height):
+        assert np.array_equal(samples.cross, samples.parallel)
