@@ -12,6 +12,8 @@ from stages.olat.frames import Samples, bands_of, read_bands
 ALIGN_LIGHTS = 32  # a pass, of which `EVERY`-th are looked at: enough edges to see a shift before the fits
 WARN_PX = 0.5  # a shift that mixes neighbouring pixels
 EVERY = 4  # lights: enough for a mean image
+LEAST_LIKENESS = 0.5  # correlation of the passes' edges below which nothing can be told
+CLEARLY = 0.6  # of what no shift leaves unexplained: a shift must leave less
 SIDE = 960  # pixels of the longer side at which the shift is measured
 
 
@@ -41,33 +43,65 @@ class Drift:
             return 0.0, 0.0
         rows, columns = np.flatnonzero(inside.any(1)), np.flatnonzero(inside.any(0))
         crop = (slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1))
-        edges = [_edges(image[crop]) for image in self.means]
-        if min(crop[0].stop - crop[0].start, crop[1].stop - crop[1].start) < 16 or not all(e.any() for e in edges):
+        if min(crop[0].stop - crop[0].start, crop[1].stop - crop[1].start) < 16:
             return 0.0, 0.0
-        down, right = phase_shift(edges[0], edges[1])
+        crossed, parallel = (_edges(image[crop], inside[crop]) for image in self.means)
+        down, right = best_shift(crossed, parallel, _inner(inside[crop]))
         return right * self.step, down * self.step
 
 
-def phase_shift(a: NDArray[np.float64], b: NDArray[np.float64]) -> tuple[float, float]:
-    """(down, right) shift of image b against a: the peak of their phase correlation, to a tenth of a pixel by a parabola."""
-    spectrum = np.conj(np.fft.fft2(a)) * np.fft.fft2(b)
-    peak = np.fft.ifft2(spectrum / np.maximum(np.abs(spectrum), 1e-12 * np.abs(spectrum).max())).real
-    at = np.unravel_index(int(np.argmax(peak)), peak.shape)
+def best_shift(a: NDArray[np.float64], b: NDArray[np.float64], mask: NDArray[np.bool_]) -> tuple[float, float]:
+    """(down, right) shift of image b against a, to a tenth of a pixel by a parabola; (0, 0) where none stands out.
+
+    Normalised cross-correlation over the pixels that both masks hold (Padfield 2012): the outline of the mask, which does not
+    move, has no say. At most an eighth of the object's size.
+    """
+    size = [2 * n for n in a.shape]
+
+    def correlate(x: NDArray, y: NDArray) -> NDArray[np.float64]:
+        return np.fft.irfft2(np.conj(np.fft.rfft2(x, size)) * np.fft.rfft2(y, size), size)
+
+    m = mask.astype(float)
+    x, y = a * m, b * m
+    count = np.maximum(correlate(m, m), 1.0)
+    sum_x, sum_y = correlate(x, m), correlate(m, y)
+    top = correlate(x, y) - sum_x * sum_y / count
+    spread_x, spread_y = correlate(x * x, m) - sum_x**2 / count, correlate(m, y * y) - sum_y**2 / count
+    scale = np.sqrt(np.maximum(spread_x, 0) * np.maximum(spread_y, 0))
+    ncc = np.divide(top, scale, out=np.zeros_like(top), where=(scale > 1e-9 * scale.max()) & (count > 0.5 * m.sum()))
+    reach = max(2, max(a.shape) // 8)
+    down, right = (np.minimum(np.arange(n), n - np.arange(n)) <= reach for n in size)
+    ncc = np.where(down[:, None] & right[None, :], ncc, -1.0)
+    at = np.unravel_index(int(np.argmax(ncc)), ncc.shape)
+    if ncc[at] < LEAST_LIKENESS:
+        return 0.0, 0.0
+    if 1 - ncc[at] > CLEARLY * (1 - ncc[0, 0]):
+        at = (np.intp(0), np.intp(0))
     found = []
     for axis in (0, 1):
-        line = np.take(peak, at[1 - axis], axis=1 - axis)
-        k, size = int(at[axis]), len(line)
-        before, middle, after = line[k - 1], line[k], line[(k + 1) % size]
+        line = np.take(ncc, at[1 - axis], axis=1 - axis)
+        k, n = int(at[axis]), len(line)
+        before, middle, after = line[k - 1], line[k], line[(k + 1) % n]
         bend = 2 * middle - before - after
-        k = k - size if k > size // 2 else k
-        found.append(k + (0.5 * (after - before) / bend if bend > 0 else 0.0))
+        k = k - n if k > n // 2 else k
+        part = 0.5 * (after - before) / bend if bend > 0 else 0.0
+        found.append(k + float(np.clip(part, -0.5, 0.5)))
     return found[0], found[1]
 
 
-def _edges(image: NDArray[np.float64]) -> NDArray[np.float64]:
+def _edges(image: NDArray[np.float64], inside: NDArray[np.bool_]) -> NDArray[np.float64]:
     """Strength of relative change: what the diffuse and the shiny image of one object share."""
-    log = np.log(np.maximum(image, 1e-3 * float(image.max() or 1.0)))
-    return np.hypot(*np.gradient(log))
+    level = float(image[inside].max()) if inside.any() else 1.0
+    return np.hypot(*np.gradient(np.log(np.maximum(image, 1e-3 * (level or 1.0)))))
+
+
+def _inner(inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """The mask without its two outermost pixels, where the background is in the edges."""
+    padded = np.pad(inside, 2)
+    for axis in (0, 1):
+        for _ in range(2):
+            padded = padded & np.roll(padded, 1, axis) & np.roll(padded, -1, axis)
+    return padded[2:-2, 2:-2]
 
 
 def measure(
