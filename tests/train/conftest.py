@@ -52,8 +52,9 @@ def ellipsoid_view(camera: Camera, light) -> tuple[np.ndarray, np.ndarray, np.nd
     t = [torch.as_tensor(v, dtype=torch.float32) for v in (normal[hit], -rays[hit], x, y)]
     n = int(hit.sum())
     shaded = shade(
-        t[0], t[1], torch.tensor(ALBEDO).expand(n, 3), torch.full((n,), ROUGHNESS), torch.full((n,), IOR), t[2], t[3], light
-    )
+        t[0], t[1], torch.tensor(ALBEDO).expand(n, 3), torch.full((n,), ROUGHNESS), torch.full((n,), IOR), t[2], t[3], light,
+        mirror="lobe-48",
+    )  # fmt: skip
     stokes = np.zeros((len(rays), 3, 3), np.float32)
     stokes[hit] = shaded.stokes.numpy()
     shape = (camera.height, camera.width)
