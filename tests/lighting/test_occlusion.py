@@ -108,6 +108,7 @@ def test_gridmap_has_52_anchors_on_the_enlarged_box_and_none_inside_its_bottom()
     assert len(on_bottom) == 12
 
 
+@pytest.mark.slow
 def test_gridmap_weights_favour_the_near_by_default_and_the_far_as_printed(ball):
     albedo = np.ones((len(ball.vertices), 3))
     point = torch.as_tensor(ball.vertices[:1])
@@ -122,6 +123,7 @@ def test_gridmap_weights_favour_the_near_by_default_and_the_far_as_printed(ball)
         GridMap(ball, albedo, weights="cubic")
 
 
+@pytest.mark.slow
 def test_gridmap_returns_the_environment_where_the_object_shines_like_it(ball, points):
     # Under a white sky an albedo of 1/A0^2 makes the object as bright as the sky.
     grid = GridMap(ball, np.full((len(ball.vertices), 3), 1 / 0.9082220**2), resolution=8)

@@ -8,6 +8,8 @@ import torch
 from pipeline.lighting import Occlusion, Prefilter, latlong, shade, shading, splitsum
 from pipeline.optics import fresnel, microfacet, sphere, stokes
 
+FACETS = pytest.param("lobe-4", marks=pytest.mark.slow)  # its backward kernel takes seconds to compile
+
 
 def _light(environment: np.ndarray, dtype: torch.dtype, lobe: str = "ggx", resolution: int = 32):
     texels = torch.as_tensor(latlong.to_cube(environment, resolution), dtype=dtype)
@@ -126,7 +128,8 @@ def test_schlick_option_is_equation_20_with_the_two_channel_table(points):
 
 
 @pytest.mark.parametrize(
-    "lobe,mirror", [("ggx", "split"), pytest.param("ggx", "lobe-12", marks=pytest.mark.slow), ("beckmann", "lobe-4")]
+    "lobe,mirror",
+    [("ggx", "split"), *(pytest.param(*p, marks=pytest.mark.slow) for p in (("ggx", "lobe-12"), ("beckmann", "lobe-4")))],
 )
 @pytest.mark.parametrize("occluded", [False, True])
 def test_fused_kernel_equals_the_plain_definition_with_every_gradient(environment, occluded, lobe, mirror, points):
@@ -153,7 +156,7 @@ def test_fused_kernel_equals_the_plain_definition_with_every_gradient(environmen
         assert ((a - b).abs().max() / scale) < (5e-5 if k < 3 else 2e-3), k
 
 
-@pytest.mark.parametrize("mirror", ["split", "lobe-4"])
+@pytest.mark.parametrize("mirror", ["split", FACETS])
 @pytest.mark.parametrize("function", [shade, shading.plain])
 def test_extreme_input_gives_finite_values_and_gradients(function, mirror):
     cosines = torch.tensor([-1.0, -0.2, 0.0, 1e-4, 0.5547, 1.0 - 5e-9, 1.0], dtype=torch.float64)
@@ -199,7 +202,7 @@ def test_a_missing_pixel_does_not_spoil_its_neighbours(environment, points):
     torch.testing.assert_close(got[others], want[others])
 
 
-@pytest.mark.parametrize("mirror", ["split", "lobe-4"])
+@pytest.mark.parametrize("mirror", ["split", FACETS])
 def test_no_points_is_not_an_error(environment, points, mirror):
     out = shade(*points(0), _light(environment, torch.float32), mirror=mirror)
     assert out.stokes.shape == (0, 3, 3)
