@@ -1,14 +1,16 @@
 """Masks: IoU with the truth against run time, for every method on captures whose masks are known.
 
-usage: python benchmarks/bench_masks.py [--captures DIR] [--out benchmarks/results]
+usage: python benchmarks/bench_masks.py [--captures DIR] [--only NAME ...] [--out benchmarks/results]
 
 Captures: DIR/homer-messy (forest behind the object) is segmented as it is; DIR/teapot-lebombo and DIR/spot-venice get
 a background first: a photograph-like environment map of their own, seen along each pixel's ray behind the true mask.
+DIR/ls-spot has mattes to hold the one from the sum of its lights against.
 """
 
 from __future__ import annotations
 
 import argparse
+import io
 import json
 import os
 import sys
@@ -23,10 +25,16 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from pipeline.cameras import Camera
 from pipeline.capture import Capture, open_capture
 from pipeline.images import read_image, read_mask
+from pipeline.progress import Progress
+from pipeline.stage import StageRun
 from stages.masks.background import segment
 from stages.masks.clean_plate import difference_mask
 from stages.masks.grabcut import grabcut_centre
+from stages.masks.matte import light_stage_matte
+from stages.masks.stage import MasksParameters
 
+CAPTURES = ("homer-messy", "teapot-lebombo", "spot-venice", "ls-spot")
+LIGHT_STAGE = "ls-spot"
 Scene = tuple[list[np.ndarray], list[np.ndarray], list[np.ndarray], list[Camera]]
 
 
@@ -34,31 +42,57 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--captures", type=Path, default=os.environ.get("POLARFIELD_CAPTURES"), required=False)
     parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results")
+    parser.add_argument("--only", nargs="*", help="captures to measure now; the others' rows are kept")
     options = parser.parse_args()
     if options.captures is None:
         parser.error("give --captures or POLARFIELD_CAPTURES")
-    rows = []
-    for name in ("homer-messy", "teapot-lebombo", "spot-venice"):
-        images, truth, plates, cameras = load(Path(options.captures) / name)
-        methods: dict[str, Callable[[], list[np.ndarray] | None]] = {
-            "all views together": lambda i=images, c=cameras: segment(i, c, {}, 480),
-            "all views, half size": lambda i=images, c=cameras: segment(i, c, {}, max(i[0].shape) // 2),
-            "GrabCut, each view": lambda i=images: [grabcut_centre(image) for image in i],
-        }
-        if plates:
-            methods["clean plate"] = lambda i=images, p=plates: [difference_mask(a, b) for a, b in zip(i, p)]
-        segment(images[:4], cameras[:4], {}, 64)  # compiled before it is timed
-        for method, run in methods.items():
-            start = time.perf_counter()
-            masks = run() or []
-            seconds = time.perf_counter() - start
-            scores = [iou(m, t) for m, t in zip(masks, truth)]
-            row = {"capture": name, "method": method, "iou_mean": float(np.mean(scores)), "iou_min": float(np.min(scores))}
-            rows.append({**row, "s_per_view": seconds / len(images)})
-            print(json.dumps(rows[-1]), flush=True)
+    path = options.out / "masks.json"
+    rows: list[dict] = json.loads(path.read_text()) if path.is_file() else []
     options.out.mkdir(parents=True, exist_ok=True)
-    (options.out / "masks.json").write_text(json.dumps(rows, indent=1) + "\n")
+    for name in options.only or CAPTURES:
+        root = Path(options.captures) / name
+        new = light_stage_rows(root) if name == LIGHT_STAGE else multiview_rows(root)
+        rows = [row for row in rows if row["capture"] != name] + new
+        path.write_text(json.dumps(rows, indent=1) + "\n")
+        print(json.dumps(new, indent=1), flush=True)
     figure(rows, options.out / "masks_error.png")
+
+
+def multiview_rows(root: Path) -> list[dict]:
+    """A row a method."""
+    rows = []
+    images, truth, plates, cameras = load(root)
+    methods: dict[str, Callable[[], list[np.ndarray] | None]] = {
+        "all views together": lambda: segment(images, cameras, {}, 480),
+        "all views, half size": lambda: segment(images, cameras, {}, max(images[0].shape) // 2),
+        "GrabCut, each view": lambda: [grabcut_centre(image) for image in images],
+    }
+    if plates:
+        methods["clean plate"] = lambda: [difference_mask(a, b) for a, b in zip(images, plates)]
+    segment(images[:4], cameras[:4], {}, 64)  # compiled before it is timed
+    for method, run in methods.items():
+        start = time.perf_counter()
+        masks = run() or []
+        rows.append(scored(root.name, method, masks, truth, time.perf_counter() - start))
+    return rows
+
+
+def light_stage_rows(root: Path) -> list[dict]:
+    """The matte from the sum of all lights, against the mattes that were rendered."""
+    capture = open_capture(root)
+    assert capture.light_stage is not None
+    cameras = [c for c in capture.light_stage.cameras.values() if c.mask is not None]
+    run = StageRun(capture, MasksParameters(), {}, root, root, progress=Progress(io.StringIO()), jobs=2)
+    start = time.perf_counter()
+    masks = [light_stage_matte(camera, run) > 127 for camera in cameras]
+    seconds = time.perf_counter() - start
+    return [scored(root.name, "matte", masks, [read_mask(c.mask) for c in cameras if c.mask is not None], seconds)]
+
+
+def scored(capture: str, method: str, masks: list[np.ndarray], truth: list[np.ndarray], seconds: float) -> dict:
+    scores = [iou(m, t) for m, t in zip(masks, truth)]
+    row = {"capture": capture, "method": method, "iou_mean": float(np.mean(scores)), "iou_min": float(np.min(scores))}
+    return {**row, "s_per_view": seconds / len(truth)}
 
 
 def iou(a: np.ndarray, b: np.ndarray) -> float:
@@ -98,15 +132,18 @@ def figure(rows: list[dict], path: Path) -> None:
     import matplotlib.pyplot as plt
 
     fig, axes = plt.subplots(figsize=(7, 4.5))
-    captures = sorted({row["capture"] for row in rows})
-    for method in dict.fromkeys(row["method"] for row in rows):
-        for marker, capture in zip("osD^", captures):
-            found = [r for r in rows if r["method"] == method and r["capture"] == capture]
-            for row in found:
-                axes.loglog(row["s_per_view"], max(1e-4, 1 - row["iou_mean"]), marker, label=f"{method}, {capture}")
+    captures, methods = (list(dict.fromkeys(row[key] for row in rows)) for key in ("capture", "method"))
+    for row in rows:
+        colour, marker = f"C{methods.index(row['method'])}", "osD^v"[captures.index(row["capture"])]
+        axes.loglog(row["s_per_view"], max(1e-4, 1 - row["iou_mean"]), marker, color=colour)
+    for method in methods:
+        axes.plot([], [], "o", color=f"C{methods.index(method)}", label=method)
+    for capture in captures:
+        axes.plot([], [], "osD^v"[captures.index(capture)], color="grey", label=capture)
+    axes.axhline(0.05, color="black", linewidth=0.8, linestyle="--", label="IoU 0.95")
     axes.set(xlabel="run time (s per view)", ylabel="1 - mean IoU", title="Mask methods")
     axes.grid(True, which="both", alpha=0.3)
-    axes.legend(fontsize=6)
+    axes.legend(fontsize=7, ncols=2)
     fig.tight_layout()
     fig.savefig(path, dpi=120, metadata={"Software": ""})
 

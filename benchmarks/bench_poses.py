@@ -1,8 +1,9 @@
 """Poses: registered views, reprojection error, focal length and run time on a folder of photographs.
 
-usage: python benchmarks/bench_poses.py PHOTOGRAPHS [--focal TRUE_PX] [--plain] [--out benchmarks/results]
+usage: python benchmarks/bench_poses.py PHOTOGRAPHS [--focal TRUE_PX] [--sizes 1000] [--plain] [--more] [--out DIR]
 
-Runs decode and poses twice (the cameras must be the same bit for bit); --plain also runs pycolmap with its defaults on the
+Runs decode and poses twice (the cameras must be the same bit for bit) and once for each other size of pictures;
+--plain also runs pycolmap with its defaults on the
 photographs as they are, at the same size of pictures.
 """
 
@@ -34,30 +35,65 @@ def main() -> None:
     parser.add_argument("photographs", type=Path)
     parser.add_argument("--focal", type=float)
     parser.add_argument("--plain", action="store_true")
+    parser.add_argument("--sizes", type=int, nargs="*", default=[], help="other longer sides at which features are found")
+    parser.add_argument("--more", action="store_true", help="keep what the results file holds, run only --sizes and --plain")
     parser.add_argument("--out", type=Path, default=Path(__file__).parent / "results")
     options = parser.parse_args()
-    runs = [ours(options.photographs) for _ in range(2)]
-    result: dict[str, Any] = {"ours": runs[0], "same_twice": runs[0]["digest"] == runs[1]["digest"]}
+    path = options.out / "poses.json"
+    result: dict[str, Any] = json.loads(path.read_text()) if options.more else {}
+    if not options.more:
+        runs = [ours(options.photographs) for _ in range(2)]
+        result = {"ours": runs[0], "same_twice": runs[0]["digest"] == runs[1]["digest"]}
+    for size in options.sizes:
+        result[f"ours at {size} px"] = ours(options.photographs, size)
     if options.plain:
         result["plain"] = plain(options.photographs)
-    for row in (result["ours"], result.get("plain")):
-        if row and options.focal:
+    for row in result.values():
+        if isinstance(row, dict) and options.focal:
             row["focal_error_pct"] = [100 * abs(f / options.focal - 1) for f in row["focal_px"]]
     options.out.mkdir(parents=True, exist_ok=True)
-    (options.out / "poses.json").write_text(json.dumps(result, indent=1) + "\n")
+    path.write_text(json.dumps(result, indent=1) + "\n")
     print(json.dumps(result, indent=1))
+    figure(result, options.out / "poses_error.png")
 
 
-def ours(root: Path) -> dict[str, Any]:
+def figure(result: dict[str, Any], path: Path) -> None:
+    """Focal length's and reprojection error against run time."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    fig, both = plt.subplots(1, 2, figsize=(9, 4))
+    for name, row in result.items():
+        if isinstance(row, dict):
+            label = f"{name}, {row['registered']} registered"
+            both[0].plot(row["poses_s"], row["reprojection_error_px"], "o", label=label)
+            both[1].plot(row["poses_s"], max(row.get("focal_error_pct", [float("nan")])), "o", label=label)
+    both[0].axhline(0.7, color="black", linewidth=0.8, linestyle="--")
+    both[1].axhline(3.0, color="black", linewidth=0.8, linestyle="--")
+    both[0].set(ylabel="mean reprojection error (px)", ylim=(0, None))
+    both[1].set(ylabel="focal length error (%)", ylim=(0, None))
+    for axes in both:
+        axes.set(xlabel="run time of poses (s)", xlim=(0, None))
+        axes.grid(True, alpha=0.3)
+        axes.legend(fontsize=8)
+    fig.tight_layout()
+    fig.savefig(path, dpi=120, metadata={"Software": ""})
+
+
+def ours(root: Path, size: int | None = None) -> dict[str, Any]:
     """Our stages on a capture folder."""
     capture = open_capture(root)
     with tempfile.TemporaryDirectory() as temporary:
-        inputs, seconds, run = {}, {}, None
+        inputs: dict[str, Path] = {}
+        seconds, run = {}, None
         for stage in (decode.STAGE, poses.STAGE):
             output, scratch = Path(temporary, stage.name), Path(temporary, f"{stage.name}.scratch")
             output.mkdir()
             scratch.mkdir()
-            run = StageRun(capture, stage.parameters(), dict(inputs), output, scratch, jobs=2)
+            chosen = stage.parameters(max_size=size) if size and stage is poses.STAGE else stage.parameters()
+            run = StageRun(capture, chosen, dict(inputs), output, scratch, jobs=2)
             start = time.perf_counter()
             stage.run(run)
             seconds[stage.name] = time.perf_counter() - start

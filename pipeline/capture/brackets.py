@@ -31,7 +31,8 @@ def read_exposures(exposures: Sequence[Exposure], radiometry: RadiometryConfig, 
     first = images[0]
     for e, image in zip(exposures, images):
         if image.pixels.shape != first.pixels.shape:
-            raise UserError(e.path, f"is {image.pixels.shape[:2]}, its bracket {first.pixels.shape[:2]}", "one size a bracket")
+            (height, width), (h, w) = image.pixels.shape[:2], first.pixels.shape[:2]
+            raise UserError(e.path, f"is {width}x{height}, its bracket {w}x{h}", "one size a bracket")
     for e, seconds in zip(exposures, told):
         if seconds is None:
             raise UserError(e.path, "its exposure is unknown", "name it _ev+1 or _exp0.01, or tell radiometry.exposure_s")

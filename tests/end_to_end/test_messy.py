@@ -96,7 +96,8 @@ def messy(tmp_path_factory) -> tuple[Path, dict[str, np.ndarray]]:
         seen = np.minimum(seen + rng.normal(0, NOISE, seen.shape), CLIP).astype(np.float32)
         file = f"images/{name}/IMG_{1200 + 7 * k} ({k % 3}).exr"
         write_exr(root / file, {c: seen[..., i] for i, c in enumerate("RGB")}, half=True)
-        frames.append({"file_path": file, "camera": name, "transform_matrix": opengl_from_camera(camera.world_to_camera).tolist()})
+        matrix = opengl_from_camera(camera.world_to_camera).tolist()
+        frames.append({"file_path": file, "camera": name, "transform_matrix": matrix})
         masks[f"{name}_IMG_{1200 + 7 * k} ({k % 3})"] = mask
     table = {"fl_x": 1.9 * SIZE, "fl_y": 1.9 * SIZE, "w": SIZE, "h": SIZE, "frames": frames}
     (root / "transforms.json").write_text(json.dumps(table))
