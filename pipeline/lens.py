@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -63,6 +64,21 @@ def source_pixels(camera: Camera, u: NDArray[np.float64], v: NDArray[np.float64]
     return distort(ideal, camera.distortion) * [camera.fx, camera.fy] + [camera.cx, camera.cy]
 
 
+LENS_FACTS = ("width", "height", "fx", "fy", "cx", "cy", "distortion")
+
+
+@lru_cache(maxsize=4)
+def _sampling(
+    width: int, height: int, fx: float, fy: float, cx: float, cy: float, distortion: tuple[float, ...]
+) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_]]:
+    """Where each pinhole pixel [H, W] is taken from (x, y; centres at whole numbers), and which lie outside; views share it."""
+    u, v = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+    camera = Camera(width, height, fx, fy, cx, cy, np.eye(4), distortion)
+    source = (source_pixels(camera, u, v) - 0.5).astype(np.float32)
+    x, y = np.ascontiguousarray(source[..., 0]), np.ascontiguousarray(source[..., 1])
+    return x, y, ~((x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1))
+
+
 class Straightener:
     """Resamples frames of one camera with distortion; bilinear, so that possible Stokes vectors stay possible.
 
@@ -70,11 +86,7 @@ class Straightener:
     """
 
     def __init__(self, camera: Camera) -> None:
-        u, v = np.meshgrid(np.arange(camera.width) + 0.5, np.arange(camera.height) + 0.5)
-        source = (source_pixels(camera, u, v) - 0.5).astype(np.float32)
-        self._x, self._y = np.ascontiguousarray(source[..., 0]), np.ascontiguousarray(source[..., 1])
-        inside_x = (self._x >= 0) & (self._x <= camera.width - 1)
-        self.outside: NDArray[np.bool_] = ~(inside_x & (self._y >= 0) & (self._y <= camera.height - 1))
+        self._x, self._y, self.outside = _sampling(*(getattr(camera, name) for name in LENS_FACTS))
 
     def image(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
         """Samples [H, W, ...] of the pinhole camera; zero where the frame did not reach."""
