@@ -23,10 +23,10 @@ class _Lease:
         self._block = block
         self.__array_interface__: dict[str, Any] = {**block.__array_interface__, "shape": (size,)}
 
-    def __del__(self) -> None:
-        _free.append(self._block)
-        if len(_free) > KEPT:
-            _free.popleft()
+    def __del__(self, free: deque[NDArray[np.uint8]] = _free) -> None:  # bound here: at exit a module's names may be gone
+        free.append(self._block)
+        if len(free) > KEPT:
+            free.popleft()
 
 
 def frame_array(shape: tuple[int, ...], dtype: DTypeLike = np.float32) -> NDArray[Any]:

@@ -93,7 +93,7 @@ class Session:
         import pycolmap
 
         self.colmap = pycolmap
-        pycolmap.logging.minloglevel = 2
+        pycolmap.logging.minloglevel = 3
         self.stage, self.work, self.proxies, self.masks = stage, work, proxies, masks
         self.images, self.database = work / "images", work / "database.db"
         self.seed = int(stage.parameters.seed)
@@ -184,7 +184,7 @@ class Session:
         (self.work / "sparse").mkdir(exist_ok=True)
         pc.set_random_seed(self.seed)
         models = pc.incremental_mapping(self.database, self.images, self.work / "sparse", options=self.mapping_options())
-        pc.logging.minloglevel = 2  # bundle adjustment sets it back
+        pc.logging.minloglevel = 3  # bundle adjustment sets it back
         if not models:
             background = "" if self.masks is not None else "; on a turntable give masks, as the still background matches itself"
             raise UserError(
@@ -214,7 +214,7 @@ class Session:
         options.print_summary = False
         options.ceres.min_num_residuals_for_cpu_multi_threading = 1 << 30  # one order of summation
         pc.bundle_adjustment(model, options)
-        pc.logging.minloglevel = 2  # bundle adjustment sets it back
+        pc.logging.minloglevel = 3  # bundle adjustment sets it back
         model.update_point_3d_errors()
         self.stage.note("rig", list(prefixes))
         return model
