@@ -14,17 +14,23 @@ _HALF_SPECIAL = np.float32(65536.0)
 
 
 @numba.njit(nogil=True, cache=True)
+def _widen_chunk(bits: NDArray[np.uint16], out: NDArray[np.float32], out_bits: NDArray[np.uint32]) -> None:
+    n = bits.size
+    for i in range(n):
+        out_bits[i] = np.uint32(bits[i] & np.uint16(0x7FFF)) << np.uint32(13)
+    for i in range(n):
+        out[i] *= _TO_SINGLE
+    for i in range(n):
+        special = np.uint32(0x7F800000) if out[i] >= _HALF_SPECIAL else np.uint32(0)
+        out_bits[i] |= special | (np.uint32(bits[i] & np.uint16(0x8000)) << np.uint32(16))
+
+
+@numba.njit(nogil=True, cache=True)
 def widen_halves(bits: NDArray[np.uint16], out: NDArray[np.float32], out_bits: NDArray[np.uint32]) -> None:
     """Half floats, as their bits [N], to floats [N]; `out_bits` is a view of `out`. Exact, also for NaN and infinity."""
     for start in range(0, bits.size, CHUNK):
-        stop = min(start + CHUNK, bits.size)
-        for i in range(start, stop):
-            out_bits[i] = np.uint32(bits[i] & np.uint16(0x7FFF)) << np.uint32(13)
-        for i in range(start, stop):
-            out[i] *= _TO_SINGLE
-        for i in range(start, stop):
-            special = np.uint32(0x7F800000) if out[i] >= _HALF_SPECIAL else np.uint32(0)
-            out_bits[i] |= special | (np.uint32(bits[i] & np.uint16(0x8000)) << np.uint32(16))
+        stop = start + CHUNK
+        _widen_chunk(bits[start:stop], out[start:stop], out_bits[start:stop])
 
 
 @numba.njit(nogil=True, cache=True)
