@@ -96,7 +96,8 @@ def _chosen(names: Sequence[str]) -> list[str]:
 
 def _views(capture: Capture) -> tuple[list[dict[str, Any]], list[tuple[str, str]]]:
     """Cards of a few views, and what was found wrong while reading them."""
-    cards, faults = [], []
+    cards: list[dict[str, Any]] = []
+    faults: list[tuple[str, str]] = []
     if capture.light_stage is not None:
         for name, camera in sorted(capture.light_stage.cameras.items()):
             try:

@@ -13,6 +13,7 @@ from pipeline.stage import StageRun
 from . import pictures
 from .views import RGB, XYZ, picture
 
+ERROR_FULL = 0.5  # difference over the mean of the frames' sum, at the bright end
 FLAG_COLOURS = ((24, 26, 30), (214, 158, 46), (197, 48, 48), (90, 90, 90), (49, 130, 206), (128, 90, 213))
 
 
@@ -70,6 +71,12 @@ def relit_cards(run: StageRun) -> list[dict[str, Any]]:
     for folder in sorted(p for p in run.inputs["relight"].iterdir() if p.is_dir()):
         pics = []
         for path in sorted(folder.glob("cam*.exr")):
+            if path.stem.endswith("_error"):
+                error = read_image(path, ("Y",))[..., 0]
+                shown = pictures.scale(error, 0, ERROR_FULL)[pictures.crop_box([error > 0])]
+                title = path.stem.removesuffix("_error")
+                pics.append(picture(shown, title, f"difference, 0 to {ERROR_FULL:g}", run.parameters.picture_px))
+                continue
             image = read_image(path, RGB)
             what = "sum of the frames" if path.stem.endswith("_olat") else "rendered from the maps"
             box = pictures.crop_box([image.max(-1) > 1e-4])

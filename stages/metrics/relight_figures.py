@@ -23,7 +23,10 @@ def relight_table(relight: Path, truth: Truth) -> Table:
     for folder in _environments(relight):
         part = Table()
         for path in sorted((truth.root / "gt" / "relight" / folder.name).glob("*.exr")):
-            view = path.stem if path.stem in truth.views else truth.views[int(path.stem)]
+            by_place = {f"{k:03d}": view for k, view in enumerate(truth.views)}
+            view = path.stem if path.stem in truth.views else by_place.get(path.stem)
+            if view is None:  # of no view of this capture
+                continue
             image, true = read_image(folder / f"{view}.exr", S0), read_image(path, S0)
             part.rows.append({"view": view, **relight_figures(image, true)})
         part.means()
