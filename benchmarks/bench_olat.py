@@ -40,7 +40,8 @@ def throughput(count: int, lights: int = 346) -> dict[str, float]:
     cpu = time.process_time() - start
     return {
         "pixels": count, "lights": lights, "threads": os.cpu_count() or 1, "pixels_per_s": count / seconds,
-        "pixels_per_cpu_s": count / cpu, "peak_rss_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+        "pixels_per_cpu_s": count / cpu, "load": os.getloadavg()[0],
+        "peak_rss_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
     }  # fmt: skip
 
 

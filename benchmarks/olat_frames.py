@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 import tempfile
@@ -63,8 +64,8 @@ def write_capture(root: Path, width: int, height: int, lights: int, disc: float 
     return int(mask.sum())
 
 
-def read_only(root: Path, dataset: Path) -> float:
-    """Seconds to read the same bands of the same frames and drop them."""
+def read_only(root: Path, dataset: Path) -> tuple[float, float]:
+    """Wall and processor seconds to read the same bands of the same frames and drop them."""
     from pipeline.images import read_mask
     from stages.olat.frames import bands_of, read_bands
     from stages.olat.stage import OlatParameters
@@ -72,10 +73,10 @@ def read_only(root: Path, dataset: Path) -> float:
     entry = json.loads((dataset / "decode" / "current" / "olat.json").read_text())["cameras"]["cam00"]
     cross, parallel = ([root / path for path in entry[key]] for key in ("cross", "parallel"))
     bands = bands_of(read_mask(root / entry["mask"]), len(cross), OlatParameters().band_mb, 2)
-    start = time.perf_counter()
+    start, cpu = time.perf_counter(), time.process_time()
     for _ in read_bands(cross, parallel, bands, True):
         pass
-    return time.perf_counter() - start
+    return time.perf_counter() - start, time.process_time() - cpu
 
 
 def measure(width: int, height: int, lights: int) -> dict[str, float]:
@@ -86,17 +87,18 @@ def measure(width: int, height: int, lights: int) -> dict[str, float]:
         command = [sys.executable, "-m", "stages", "olat", str(root), "--dataset", str(dataset)]
         subprocess.run(command, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         manifest = json.loads((dataset / "olat" / "current" / "manifest.json").read_text())
-        reading = read_only(root, dataset)
+        reading, reading_cpu = read_only(root, dataset)
     found = {
         "width": width, "height": height, "lights": lights, "pixels": pixels, "wall_s": manifest["wall_s"],
         "cpu_s": manifest["cpu_s"], "reading_s": reading, "wall_over_reading": manifest["wall_s"] / reading,
-        "peak_rss_mb": manifest["peak_rss_mb"],
+        "reading_cpu_s": reading_cpu, "cpu_over_reading": manifest["cpu_s"] / reading_cpu,
+        "peak_rss_mb": manifest["peak_rss_mb"], "load": os.getloadavg()[0],
     }  # fmt: skip
     print("  " + "  ".join(f"{k} {v:.4g}" for k, v in found.items()), flush=True)
     return found
 
 
-def large_frames(width: int = 192, heights: tuple[int, ...] = (256, 1024), lights: int = 346) -> list[dict[str, float]]:
+def large_frames(width: int = 192, heights: tuple[int, ...] = (256, 1536), lights: int = 346) -> list[dict[str, float]]:
     """`measure` at growing heights; a small first run leaves compilation out."""
     with tempfile.TemporaryDirectory() as made:
         root = Path(made) / "capture"
