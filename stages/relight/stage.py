@@ -67,7 +67,7 @@ def run(run: StageRun) -> None:
 
 STAGE = Stage(
     name="relight",
-    version=2,
+    version=3,
     parameters=RelightParameters,
     needs=("decode", "poses", "masks", "olat", "train", "mesh"),
     needed=needed,
