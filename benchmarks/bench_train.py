@@ -1,6 +1,6 @@
 """Training: error against run time for full Stokes, two unknown polarisers and RGB only, and what each piece buys.
 
-    python -m benchmarks.bench_train --captures DIR [--out DIR] [--iterations N] [--quick] [--only NAME ...]
+    python -m benchmarks.bench_train --captures DIR [--out DIR] [--iterations N] [--quick] [--resume] [--only NAME ...]
 
 DIR holds captures with `gt/` (or the environment variable POLARFIELD_CAPTURES). Each capture with full Stokes images is
 trained as it is, as if photographed behind two polarisers of unknown angle (23 and 110 degrees, alternating views), and
@@ -27,8 +27,12 @@ ANGLES_DEG = {"lp0": 23.0, "lp1": 110.0}
 MODES = ("stokes", "polarisers", "none")
 ABLATIONS: dict[str, dict[str, Any]] = {
     "no polarisation loss": {"weight_polarisation": 0.0},
+    "polarisation x 2": {"weight_polarisation": 8.0},
     "no depth-normal": {"weight_depth_normal": 0.0},
     "no smoothness": {"weight_smooth": 0.0},
+    "priors x 4": {"weight_smooth": 0.08, "weight_depth_normal": 0.24},
+    "split sum": {"mirror": "split"},
+    "22000 splats": {"max_splats": 22000, "splat_pixels": 1.15},
     "Schlick": {"fresnel": "schlick"},
     "GGX lobe": {"lobe": "ggx"},
     "no occlusion": {"occlusion": False},
@@ -129,6 +133,9 @@ def train_once(
     """One run: figures at `looks` moments against training seconds (looking is not timed)."""
     import torch
 
+    from pipeline.capture.model import PolariserPrior
+    from pipeline.progress import Progress
+    from stages.train.angle_search import search_angles
     from stages.train.parameters import TrainParameters
     from stages.train.setup import prepare_training
     from stages.train.trainer import Trainer
@@ -136,7 +143,11 @@ def train_once(
     torch.set_num_threads(1)
     parameters = replace(TrainParameters(), **changes)
     begin = time.perf_counter()
-    start = prepare_training(sources, mode, {}, up, parameters, "cpu")  # type: ignore[arg-type]
+    priors = {name: PolariserPrior() for name in ANGLES_DEG} if mode == "polarisers" else {}
+    start = prepare_training(sources, mode, priors, up, parameters, "cpu")  # type: ignore[arg-type]
+    if start.scene.bank is not None:
+        for name, angle in search_angles(sources, priors, sorted(ANGLES_DEG), up, parameters, Progress()).items():
+            start.scene.bank.set_angle(name, float(np.radians(angle)))
     trainer = Trainer(start.scene, start.pyramids, mode, start.frame, parameters, "cpu")  # type: ignore[arg-type]
     spent = time.perf_counter() - begin
     marks = {round(parameters.iterations * (k + 1) / looks) for k in range(looks)}
@@ -178,38 +189,47 @@ def plot(results: dict[str, Any], path: Path) -> None:
     figure.savefig(path, dpi=90)
 
 
+def save(results: dict[str, Any], out: Path) -> None:
+    """Write figures and pictures of what has been run so far."""
+    machine = {"cpu": platform.processor() or platform.machine(), "cores": os.cpu_count()}
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    report = {"machine": machine, "peak_rss_mb": peak, "captures": results}
+    (out / "train.json").write_text(json.dumps(report, indent=1) + "\n")
+    plot(results, out / "train.png")
+
+
 def main() -> None:
-    """Run what was asked for, writing after each capture."""
+    """Run what was asked for, writing after each run."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--captures", type=Path, default=os.environ.get("POLARFIELD_CAPTURES"))
     parser.add_argument("--out", type=Path, default=Path("build/bench"))
     parser.add_argument("--only", nargs="*", default=[], help="capture names")
     parser.add_argument("--iterations", type=int, default=0, help="steps a run; 0 = the default")
     parser.add_argument("--quick", action="store_true", help="modes only, no ablations")
+    parser.add_argument("--resume", action="store_true", help="keep the runs that OUT/train.json holds, do the others")
     arguments = parser.parse_args()
     if arguments.captures is None:
         parser.error("say where the captures are: --captures DIR or POLARFIELD_CAPTURES")
     arguments.out.mkdir(parents=True, exist_ok=True)
     fixed = {"iterations": arguments.iterations} if arguments.iterations else {}
     results: dict[str, Any] = {}
+    if arguments.resume and (arguments.out / "train.json").exists():
+        results = json.loads((arguments.out / "train.json").read_text())["captures"]
     for folder in sorted(p for p in Path(arguments.captures).iterdir() if (p / "gt" / "normal").is_dir()):
         if arguments.only and folder.name not in arguments.only:
             continue
         truth, mode, up = sources_of(folder, arguments.out / "train-inputs")
         if mode != "stokes":
             continue
-        runs: dict[str, Any] = {}
+        runs = results.setdefault(folder.name, {})
         jobs: list[tuple[str, str, dict[str, Any]]] = [(m, m, {}) for m in MODES]
         jobs += [] if arguments.quick else [(name, "stokes", changes) for name, changes in ABLATIONS.items()]
         for name, as_what, changes in jobs:
+            if name in runs:
+                continue
             print(f"{folder.name}: {name}", flush=True)
             runs[name] = train_once(as_mode(truth, as_what), truth, as_what, up, folder, fixed | changes, 4)
-        results[folder.name] = runs
-        machine = {"cpu": platform.processor() or platform.machine(), "cores": os.cpu_count()}
-        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-        report = {"machine": machine, "peak_rss_mb": peak, "captures": results}
-        (arguments.out / "train.json").write_text(json.dumps(report, indent=1) + "\n")
-        plot(results, arguments.out / "train.png")
+            save(results, arguments.out)
 
 
 if __name__ == "__main__":

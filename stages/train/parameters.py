@@ -14,13 +14,13 @@ def _p(default: Any, text: str) -> Any:
 class TrainParameters:
     """How the model is trained. Lengths are relative to the object's size: the scene is normalised first."""
 
-    iterations: int = _p(2400, "optimisation steps, one training view each (count)")
+    iterations: int = _p(2000, "optimisation steps, one training view each (count)")
     max_minutes: float = _p(0.0, "stop refining after this much training time; 0 = no limit (minutes)")
     seed: int = _p(0, "seed of every random choice")
-    max_splats: int = _p(22000, "upper bound of the number of Gaussians (count)")
+    max_splats: int = _p(34000, "upper bound of the number of Gaussians (count)")
     densify: bool = _p(True, "remove splats that never show and add some where the images pull hardest")
     start_fraction: float = _p(0.8, "share of max_splats to start with; the rest is for densification (fraction)")
-    splat_pixels: float = _p(1.15, "wanted distance between neighbouring Gaussians (pixels of the training images)")
+    splat_pixels: float = _p(0.9, "wanted distance between neighbouring Gaussians (pixels of the training images)")
     hull_resolution: int = _p(112, "voxels along the longest side of the visual hull (count)")
     coarse_fraction: float = _p(0.0, "share of the steps that see images of half the size (fraction)")
     consolidate_fraction: float = _p(0.15, "share of the steps at the end that see every training view (fraction)")
@@ -42,8 +42,8 @@ class TrainParameters:
     weight_rgb: float = _p(1.0, "weight of the radiance loss L_rgb (Eq. 10)")
     weight_polarisation: float = _p(4.0, "weight of the Stokes loss relative to the radiance loss (lambda 1)")
     weight_mask: float = _p(0.4, "weight of the mask loss (lambda 2)")
-    weight_depth_normal: float = _p(0.02, "weight of the agreement of normals with positions (lambda 3)")
-    weight_smooth: float = _p(0.01, "weight of the smoothness of normals, albedo and material (lambda 4)")
+    weight_depth_normal: float = _p(0.06, "weight of the agreement of normals with positions (lambda 3)")
+    weight_smooth: float = _p(0.02, "weight of the smoothness of normals, albedo and material (lambda 4)")
     weight_environment: float = _p(1.0, "weight of the environment's smoothness prior (relative)")
 
     def __post_init__(self) -> None:
