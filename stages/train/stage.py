@@ -43,7 +43,7 @@ def run(stage: StageRun) -> None:
 
 STAGE = Stage(
     name="train",
-    version=1,
+    version=2,
     parameters=TrainParameters,
     needs=("decode", "poses", "masks"),
     needed=needed,

@@ -15,6 +15,7 @@ from .data import Mode, View
 from .densify import Activity, edges_to_split, keep, kept_rows, split_edges
 from .environment import Environment
 from .evaluate import psnr
+from .exchange import Exchange
 from .frame import SceneFrame
 from .graph import SurfaceGraph, build_graph
 from .initialise.hull import HullMesh
@@ -76,6 +77,7 @@ class Trainer:
         self.scene, self.mode, self.frame, self.parameters, self.backend = scene, mode, frame, parameters, backend
         self.pyramids = pyramids
         self.adam = SurfaceAdam(GROUPS)
+        self.exchange = Exchange()
         self.prefilter = Prefilter(parameters.environment_resolution, parameters.lobe)
         self.iteration = 0
         self.activity = Activity.empty(len(scene.model), scene.model["position"].device)
@@ -199,6 +201,7 @@ class Trainer:
         total.backward()
         raster = rendered.gbuffer.raster
         self.activity.add(rendered.gbuffer.rows, raster.screen_gradient, raster.visible)
+        self.exchange.step(self.scene.environment.raw, self.scene.model["albedo"], phase.rates[""])
         self.adam.step(self.tensors(), phase.rates, self.scene.graph, phase.diffusion)
         self.iteration += 1
         values = {name: float(value.detach()) for name, value in terms.items() if name != "surface"}
@@ -310,6 +313,7 @@ class Trainer:
             "iteration": self.iteration,
             "tensors": tensors,
             "adam": self.adam.state(),
+            "exchange": self.exchange.state(),
             "std_deg": list(std),
             "settled": settled,
             "activity": vars(self.activity),
@@ -326,6 +330,7 @@ class Trainer:
                 self.scene.bank.settled = list(state["settled"])
         self.scene.model = SplatModel(tensors)
         self.adam.load(state["adam"])
+        self.exchange.load(state["exchange"])
         self.activity = Activity(**state["activity"])
         self.iteration = state["iteration"]
         self.scene.graph = None

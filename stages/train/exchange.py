@@ -1,0 +1,53 @@
+"""Steps along the direction that light and albedo share: a brighter environment and a darker object look nearly the same.
+
+Only reflections tell them apart (per colour channel), so the loss is flat along it and every texel's and splat's own
+steps leave it where the start had put it. One common step for each channel, with moments of its own, sees the sum of all
+their gradients.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+
+from .optimiser import BETA1, BETA2, EPSILON
+
+RATE = 1e-2  # log units a step at most: a start wrong by a factor of two is mended within a hundred steps
+MOST_ALBEDO = 0.9  # nearer to 1 a sigmoid hardly moves: its share of the exchange stops growing there
+
+
+class Exchange:
+    """Adam on g [3], where log environment += g and log albedo -= g. `moments` [2, 3]; `steps` so far."""
+
+    def __init__(self) -> None:
+        self.moments: torch.Tensor | None = None
+        self.steps = 0
+
+    @torch.no_grad()
+    def step(self, environment: torch.Tensor, albedo: torch.Tensor, rate_scale: float) -> None:
+        """Move log radiance [..., 3] and albedo logits [N, 3] in place; call it while their gradients are still there."""
+        if environment.grad is None or albedo.grad is None:
+            return
+        # d logit = d log albedo / (1 - albedo)
+        share = 1 / (1 - torch.sigmoid(albedo).clamp_max(MOST_ALBEDO))
+        gradient = environment.grad.reshape(-1, 3).sum(0) - (share * albedo.grad).sum(0)
+        gradient = torch.nan_to_num(gradient, nan=0.0, posinf=0.0, neginf=0.0)
+        if self.moments is None:
+            self.moments = torch.zeros(2, 3, device=gradient.device)
+        self.steps += 1
+        first, second = self.moments
+        first.lerp_(gradient, 1 - BETA1)
+        second.mul_(BETA2).addcmul_(gradient, gradient, value=1 - BETA2)
+        size = (second / (1 - BETA2**self.steps)).sqrt() + EPSILON
+        g = -RATE * rate_scale * first / (1 - BETA1**self.steps) / size
+        environment.add_(g)
+        albedo.sub_(share * g)
+
+    def state(self) -> dict[str, Any]:
+        """Everything a resume needs."""
+        return {"moments": None if self.moments is None else self.moments.clone(), "steps": self.steps}
+
+    def load(self, state: dict[str, Any]) -> None:
+        """Take over a saved state."""
+        self.moments, self.steps = state["moments"], state["steps"]
