@@ -14,7 +14,7 @@ def _p(default: Any, text: str) -> Any:
 class TrainParameters:
     """How the model is trained. Lengths are relative to the object's size: the scene is normalised first."""
 
-    iterations: int = _p(2000, "optimisation steps, one training view each (count)")
+    iterations: int = _p(1500, "optimisation steps, one training view each (count)")
     max_minutes: float = _p(0.0, "stop refining after this much training time; 0 = no limit (minutes)")
     seed: int = _p(0, "seed of every random choice")
     max_splats: int = _p(34000, "upper bound of the number of Gaussians (count)")
