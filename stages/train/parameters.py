@@ -44,7 +44,7 @@ class TrainParameters:
     weight_mask: float = _p(0.4, "weight of the mask loss (lambda 2)")
     weight_depth_normal: float = _p(0.06, "weight of the agreement of normals with positions (lambda 3)")
     weight_smooth: float = _p(0.02, "weight of the smoothness of normals, albedo and material (lambda 4)")
-    weight_environment: float = _p(1.0, "weight of the environment's smoothness prior (relative)")
+    weight_environment: float = _p(3.0, "weight of the environment's smoothness prior (relative)")
 
     def __post_init__(self) -> None:
         if self.iterations < 1:
