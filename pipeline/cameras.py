@@ -82,9 +82,7 @@ class Camera:
     def resized(self, width: int, height: int) -> Camera:
         """The same camera for the image scaled to another size."""
         sx, sy = width / self.width, height / self.height
-        return replace(
-            self, width=width, height=height, fx=self.fx * sx, fy=self.fy * sy, cx=self.cx * sx, cy=self.cy * sy
-        )
+        return replace(self, width=width, height=height, fx=self.fx * sx, fy=self.fy * sy, cx=self.cx * sx, cy=self.cy * sy)
 
 
 def distort(ideal: np.ndarray, distortion: tuple[float, ...]) -> np.ndarray:

@@ -40,6 +40,7 @@ def make_version(
     name, key = step.stage.name, step.key
     if version := dataset.find(name, key):
         return version
+
     def waiting() -> None:
         progress.say(f"{name}: another run is making this version; waiting for it")
 
@@ -78,9 +79,7 @@ def _published(dataset: Dataset, stage: str, key: str) -> Path:
 
 def _manifest(step: Step, run: StageRun, output: Path, figures: Mapping[str, Any]) -> dict[str, Any]:
     files = sorted(p for p in output.rglob("*") if p.is_file())
-    outputs = [
-        {"path": p.relative_to(output).as_posix(), "bytes": p.stat().st_size, "digest": digest_file(p)} for p in files
-    ]
+    outputs = [{"path": p.relative_to(output).as_posix(), "bytes": p.stat().st_size, "digest": digest_file(p)} for p in files]
     return {
         "schema": 1,
         "stage": step.stage.name,

@@ -54,10 +54,7 @@ class DigestCache:
                     self.known[str(f)] = [*stats[f], digest]
             self.changed = True
         root = root.absolute()
-        return {
-            (f.relative_to(root).as_posix() if f.is_relative_to(root) else f.name): self.known[str(f)][2]
-            for f in files
-        }
+        return {(f.relative_to(root).as_posix() if f.is_relative_to(root) else f.name): self.known[str(f)][2] for f in files}
 
     @staticmethod
     def _stat(path: Path) -> list[int]:

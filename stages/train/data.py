@@ -97,9 +97,7 @@ def _reduced_mode(stored: str, wanted: str, path: Path) -> Mode:
     raise UserError(path, f"the frames hold '{stored}', not '{wanted}'", "set train.polarisation to auto or none")
 
 
-def _load(
-    name: str, entry: dict, camera: Camera, decode: Path, masks: Path | None, split: Split, mode: Mode
-) -> SourceView:
+def _load(name: str, entry: dict, camera: Camera, decode: Path, masks: Path | None, split: Split, mode: Mode) -> SourceView:
     channels = read_exr(decode / entry["file"])
     height, width = next(iter(channels.values())).shape
     camera = camera if (camera.width, camera.height) == (width, height) else camera.resized(width, height)

@@ -17,13 +17,19 @@ def needed(capture: Capture, parameters: TrainParameters) -> Decision:
     if len(capture.views) < FEWEST_VIEWS:
         return Decision(False, f"only {len(capture.views)} views; training needs {FEWEST_VIEWS} around the object")
     mode = capture.polarisation if parameters.polarisation == "auto" else parameters.polarisation
+
+    def told(name: str) -> str:
+        prior = capture.polarisers.get(name)
+        angle = None if prior is None else prior.angle_deg
+        return f"{name} unknown" if angle is None else f"{name} refined from {angle:g} degrees"
+
     unknown = [n for n in capture.camera_names if mode == "polarisers" and not _trusted(capture, n)]
     polarised = {
         "stokes": Decision(True, "full Stokes images"),
         "polarisers": Decision(True, "compared behind each polariser"),
         "none": Decision(False, "RGB only"),
     }[mode]
-    angles = Decision(bool(unknown), f"unknown: {', '.join(unknown)}" if unknown else "no unknown polariser angle")
+    angles = Decision(bool(unknown), ", ".join(map(told, unknown)) if unknown else "no unknown polariser angle")
     occlusion = Decision(parameters.occlusion, "decided from the trained shape" if parameters.occlusion else "switched off")
     passes = {"polarisation_loss": polarised, "polariser_angles": angles, "occlusion": occlusion}
     return Decision(True, f"{len(capture.views)} views of one object", passes)

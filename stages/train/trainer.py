@@ -224,9 +224,7 @@ class Trainer:
         light, splats = self.light(), self.scene.model.activated()
         occlusion = self.trace_view(view, light, splats) if self.surface_occlusion is not None else None
         p = self.parameters
-        return render_view(
-            splats, view, light, backend=self.backend, fresnel=p.fresnel, mirror=p.mirror, occlusion=occlusion
-        )
+        return render_view(splats, view, light, backend=self.backend, fresnel=p.fresnel, mirror=p.mirror, occlusion=occlusion)
 
     def skip_to_consolidation(self) -> None:
         """Go on at the last phase: every view, falling learning rates."""
@@ -253,9 +251,7 @@ class Trainer:
         splats = rendered.splats
         offsets = torch.stack([model["roughness_offset"], model["ior_offset"]], -1)
         terms = self.measured_terms(view, rendered)
-        terms["mask"] = p.weight_mask * losses.mask_loss(
-            rendered.gbuffer.alpha_image, view.alpha_target, view.alpha_weight
-        )
+        terms["mask"] = p.weight_mask * losses.mask_loss(rendered.gbuffer.alpha_image, view.alpha_target, view.alpha_weight)
         smooth = p.weight_smooth
         weights = SurfaceWeights(p.weight_depth_normal, smooth, 0.2 * smooth, smooth, 0.1 * smooth)
         terms["surface"], parts = surface_loss(graph, splats.means, splats.normals, splats.albedo, offsets, weights)
