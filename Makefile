@@ -9,6 +9,10 @@ STAGES := decode poses masks olat train mesh relight metrics
 OPTIONS = $(if $(CAPTURE),"$(CAPTURE)") $(if $(DATASET),--dataset "$(DATASET)") --params "$(PARAMS)" --envs '$(ENVS)' --device $(DEVICE) --jobs $(JOBS)
 READY := $(VENV)/.ready
 
+# A misspelt variable would be ignored without a word.
+$(foreach wrong,PARAM PARAMETERS ENV ENVIRONMENTS DATASETS,$(if $(filter command,$(origin $(wrong))),\
+  $(error $(wrong)= is not a variable of this Makefile: PARAMS=, ENVS=, CAPTURE=, DATASET=, DEVICE=, JOBS= are)))
+
 .PHONY: all plan inspect report gc $(STAGES) setup demo test test-fast lint bench bench-train bench-olat bench-rasterize clean help
 .DEFAULT_GOAL := help
 
