@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.capture.config import RadiometryConfig
+from pipeline.capture.exr_zip import open_zip_exr
 from pipeline.capture.files import FLOAT_SUFFIXES
 from pipeline.errors import UserError
 from pipeline.images import _first_line, _open, srgb_decode
@@ -43,6 +44,10 @@ class LinearReader:
         self._whole: NDArray[Any] | None = None
         half = str(spec.format) == "half" and all(str(f) == "half" for f in spec.channelformats)
         self._kind = f"uint{self.bits}" if self.bits in (8, 16) else "half" if half else "float"
+        self._zip = open_zip_exr(path) if path.suffix.lower() == ".exr" else None
+        if self._zip is not None and (set(self._zip.names), self._zip.size) != (set(self.names), self.size):
+            self._zip.file.close()  # names that OpenImageIO had to change, as one that stands twice
+            self._zip = None
         self._alpha = next((i for i, name in enumerate(self.names) if name == "A"), -1)
         if self.bits in (8, 16):
             self._table, self._limit = code_table(self.bits, radiometry, self.encoding)
@@ -50,12 +55,20 @@ class LinearReader:
     def close(self) -> None:
         """Let go of the file."""
         self._image.close()
+        if self._zip is not None:
+            self._zip.file.close()
 
     def fill(self, start: int, stop: int, out: NDArray[np.float32], saturated: NDArray[np.bool_]) -> None:
         """Rows start..stop into out [rows, W, C] (contiguous) and saturated [rows, W]. Raises UserError on a file that
         ends too early."""
         from pipeline.capture.sample_kernels import look_up, mark_at_least, widen_halves
 
+        if self._zip is not None:
+            place = np.array([self.names.index(name) for name in self._zip.names])
+            if not self._zip.read(start, stop, place, out):
+                raise self._damage("a chunk cannot be inflated")
+            self._level(out, saturated)
+            return
         band = np.ascontiguousarray(self._rows(start, stop))
         if self.bits in (8, 16):
             look_up(band.reshape(-1), self._table, out.reshape(-1))
@@ -68,6 +81,9 @@ class LinearReader:
             widen_halves(band.view(np.uint16).reshape(-1), flat, flat.view(np.uint32))
         else:
             out[...] = band
+        self._level(out, saturated)
+
+    def _level(self, out: NDArray[np.float32], saturated: NDArray[np.bool_]) -> None:
         apply_levels(out, saturated, self.names, self.bits, self.radiometry, self.encoding)
         if self.encoding == "srgb" and self.path.suffix.lower() not in FLOAT_SUFFIXES:
             out[...] = srgb_decode(out)
@@ -83,12 +99,11 @@ class LinearReader:
 
     def _checked(self, samples: Any) -> NDArray[Any]:
         if samples is None:
-            raise UserError(
-                self.path,
-                f"the image is truncated or corrupt ({_first_line(self._image.geterror())})",
-                "copy it again from its source",
-            )
+            raise self._damage(_first_line(self._image.geterror()))
         return np.asarray(samples)
+
+    def _damage(self, reason: str) -> UserError:
+        return UserError(self.path, f"the image is truncated or corrupt ({reason})", "copy it again from its source")
 
 
 def _open_unassociated(path: Path) -> Any:
