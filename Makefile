@@ -6,18 +6,25 @@ DEVICE ?= auto
 JOBS ?= 1
 DEMO ?= build/demo
 STAGES := decode poses masks olat train mesh relight metrics
-OPTIONS = $(if $(CAPTURE),"$(CAPTURE)") $(if $(DATASET),--dataset "$(DATASET)") --params "$(PARAMS)" --envs '$(ENVS)' --device $(DEVICE) --jobs $(JOBS)
 READY := $(VENV)/.ready
 
+# Through the environment, so that the shell takes every value as it stands: paths with spaces, quotes in ENVS= and PARAMS=.
+export CAPTURE DATASET PARAMS ENVS DEVICE JOBS
+OPTIONS = $(if $(CAPTURE),"$$CAPTURE") --dataset="$$DATASET" --params="$$PARAMS" --envs="$$ENVS" --device="$$DEVICE" --jobs="$$JOBS"
+
 # A misspelt variable would be ignored without a word.
-$(foreach wrong,PARAM PARAMETERS ENV ENVIRONMENTS DATASETS,$(if $(filter command,$(origin $(wrong))),\
-  $(error $(wrong)= is not a variable of this Makefile: PARAMS=, ENVS=, CAPTURE=, DATASET=, DEVICE=, JOBS= are)))
+VARIABLES := CAPTURE DATASET PARAMS ENVS DEVICE JOBS DRY_RUN YES CAPTURES PYTHON VENV DEMO
+$(foreach name,$(.VARIABLES),$(if $(filter command,$(origin $(name))),$(if $(filter-out $(VARIABLES) MAKE% -%,$(name)),\
+  $(error $(name)= is not a variable of this Makefile; it knows $(VARIABLES:%=%=)))))
 
 .PHONY: all plan inspect report gc $(STAGES) setup demo test test-fast lint bench bench-train bench-olat bench-rasterize clean help
 .DEFAULT_GOAL := help
 
-all plan inspect report gc $(STAGES): $(READY)
+all plan inspect report $(STAGES): $(READY)
 	@$(BIN)/polarfield $@ $(OPTIONS)
+
+gc: $(READY)
+	@$(BIN)/polarfield $@ $(OPTIONS) $(if $(DRY_RUN),--dry-run) $(if $(YES),--yes)
 
 setup: $(READY)  ## the environment alone
 
@@ -56,13 +63,13 @@ clean:  ## caches and the demo; never a dataset
 help:
 	@echo "make all CAPTURE=folder [DATASET=folder] [PARAMS='train.iterations=500'] [ENVS='a.hdr b.hdr'] [DEVICE=cpu|cuda] [JOBS=n]"
 	@echo
-	@echo "all                       every stage that the capture needs"
+	@echo "all                       every stage that the capture needs, with exactly the PARAMS and ENVS that are given"
 	@echo "inspect                   a page that shows what was understood of a capture, before anything long runs"
-	@echo "plan                      what would run, and why"
-	@echo "report                    bring the metrics up to date and say where the report lies"
-	@echo "gc                        remove versions that are not in use; DATASET=folder"
+	@echo "plan                      what 'all' would run, what is done already, and why"
 	@echo "$(STAGES)"
-	@echo "                          one stage and what it needs"
+	@echo "                          one stage and what it needs; stages that PARAMS does not name stay as in the last run"
+	@echo "report                    write the report of the results in use and say where it lies; runs no other stage"
+	@echo "gc                        remove versions that nothing in use was made from; DATASET=folder [DRY_RUN=1] [YES=1]"
 	@grep -hE '^[a-z][a-z -]*:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## */\t/' | expand -t 26
 	@echo
 	@echo "$(BIN)/polarfield STAGE --help lists a stage's parameters"

@@ -3,33 +3,52 @@
 from __future__ import annotations
 
 import argparse
-import dataclasses
 import os
-import shlex
 import signal
 import subprocess
 import sys
-import typing
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-from pipeline.capture import Capture, open_capture
+from pipeline.arguments import parse
+from pipeline.capture import Capture
+from pipeline.changes import State, keep_hint, outlook, plan_text, stale_after, states
+from pipeline.collection import collect
 from pipeline.dataset import Dataset, digest_json
 from pipeline.errors import UserError
-from pipeline.images import image_size
-from pipeline.plan import Step, load_stages, make_plan, parse_overrides, plan_as_json, plan_as_text
+from pipeline.places import open_places, refuse_another_capture
+from pipeline.plan import Step, load_stages, make_plan, plan_as_json
 from pipeline.progress import Progress
+from pipeline.settings import (
+    Settings,
+    given_settings,
+    remember,
+    remembered_settings,
+    settings_of_one_stage,
+    with_environments,
+)
 from pipeline.stage import Stage
 
-EPILOG = "A capture folder is never written to. docs/captures.md lists what is recognised; docs/stages.md what comes out."
-COMMANDS = {
-    "all": "run every stage that the capture needs",
-    "plan": "print what would run, and why",
-    "inspect": "write a page that shows what was understood of a capture, before anything long runs",
-    "report": "bring the metrics up to date and say where the report lies",
-    "gc": "remove versions that are not in use, and abandoned work",
-}
+REPORT = "metrics"  # the stage whose output the report is
+
+
+@dataclass(frozen=True)
+class Call:
+    """One call of the command: its options, and what they come to."""
+
+    options: argparse.Namespace
+    stages: Mapping[str, Stage]
+    capture: Capture
+    dataset: Dataset
+    settings: Settings
+    last: Settings
+    progress: Progress
+
+    @property
+    def command(self) -> str:
+        """What was asked for."""
+        return self.options.command
 
 
 def main(modules: Mapping[str, str], arguments: Sequence[str]) -> int:
@@ -55,78 +74,126 @@ def stage_main(name: str) -> None:
 
 def _run(modules: Mapping[str, str], arguments: Sequence[str]) -> int:
     stages = load_stages(modules)
-    options = _parser(stages).parse_args(list(arguments))
-    options.argv = list(arguments)
+    options = parse(stages, arguments)
     if options.command == "gc":
-        return _collect(options)
-    capture_path, dataset_path = _paths(options)
-    capture = open_capture(capture_path)
-    dataset = Dataset(dataset_path)
-    environments = _environments(options, capture)
-    capture = dataclasses.replace(capture, environments=environments)  # with those of ENVS=
-    overrides: dict[str, dict[str, Any]] = dict(parse_overrides(options.params, stages))
-    if options.command in stages:
-        given = {k[2:]: v for k, v in vars(options).items() if k.startswith("p_") and v is not None}
-        overrides[options.command] = {**overrides.get(options.command, {}), **given}
-    progress = Progress(quiet=options.quiet)
+        return collect(options, stages)
+    call = _call(options, stages)
     if options.command in ("plan", "inspect"):
-        steps = make_plan(capture, stages, overrides, environments, None)
-        print(f"{capture.root.name}: {capture.layout}\n{plan_as_text(steps)}")
-        if options.command == "inspect":
-            from pipeline.report.inspect import write_inspection
+        return _show(call)
+    if options.command == "report":
+        return _report(call)
+    call.dataset.prepare()
+    with call.dataset.in_use():
+        steps = make_plan(call.capture, stages, call.settings.parameters, call.capture.environments, call.dataset.digests)
+        refuse_another_capture(call.dataset, call.capture, steps)
+        call.dataset.digests.save(call.dataset.write_text)
+        return _make_alone(call, steps) if options.alone else _bring_up_to_date(call, steps)
 
-            print(f"inspection: {write_inspection(capture, steps, dataset_path.with_name(dataset_path.name + '-inspect'))}")
+
+def _call(options: argparse.Namespace, stages: Mapping[str, Stage]) -> Call:
+    capture, dataset = open_places(options.capture, options.dataset, options.command)
+    own = {k[2:]: v for k, v in vars(options).items() if k.startswith("p_") and v is not None}
+    given = given_settings(options.params, options.envs, own, options.command, stages)
+    last = remembered_settings(dataset.read_description(), dataset.root, stages)
+    inherits = (options.command in stages and not options.alone) or options.command == "report"
+    settings = settings_of_one_stage(options.command, given, last, stages) if inherits else given
+    capture = with_environments(capture, settings.environments)
+    return Call(options, stages, capture, dataset, settings, last, Progress(quiet=options.quiet))
+
+
+def _show(call: Call) -> int:
+    """`plan` and `inspect`: what `all` would do; writes nothing to the dataset."""
+    known = call.dataset.exists  # a capture without a dataset is not read through for a plan
+    digests = call.dataset.digests if known else None
+    steps = make_plan(call.capture, call.stages, call.settings.parameters, call.capture.environments, digests)
+    if known:
+        refuse_another_capture(call.dataset, call.capture, steps)
+    found = states(call.dataset, steps)
+    print(f"{call.capture.root.name}: {call.capture.layout}\n{plan_text(steps, found)}\n{outlook(found)}")
+    if hint := keep_hint(call.last, call.settings, found, call.command not in call.stages):
+        print(hint)
+    if call.command == "inspect":
+        from pipeline.report.inspect import write_inspection
+
+        folder = call.dataset.root.with_name(call.dataset.root.name + "-inspect")
+        print(f"inspection: {write_inspection(call.capture, steps, folder, found)}")
+    return 0
+
+
+def _report(call: Call) -> int:
+    """`report`: the metrics stage alone, of the versions in use; refuses where others would have to be made."""
+    if not call.dataset.exists:
+        raise UserError(call.dataset.root, "there are no results to report on yet", "`make all` makes them")
+    call.dataset.prepare()
+    with call.dataset.in_use():
+        steps = make_plan(call.capture, call.stages, call.settings.parameters, call.capture.environments, call.dataset.digests)
+        refuse_another_capture(call.dataset, call.capture, steps)
+        found = states(call.dataset, steps)
+        for name, state in found.items():
+            if name != REPORT and state.kind not in ("skip", "done"):
+                made = _report_path(call.dataset)
+                old = f"; the last report is {made}" if made.exists() else ""
+                fault = f"is not up to date ({state.why or 'it has not been made'}), and report runs no other stage"
+                raise UserError(name, fault, f"`make {REPORT}` with the same arguments does{old}")
+        call.dataset.digests.save(call.dataset.write_text)
+        return _bring_up_to_date(call, steps)
+
+
+def _bring_up_to_date(call: Call, steps: list[Step]) -> int:
+    command, dataset, say = call.command, call.dataset, call.progress.say
+    for warning in call.capture.warnings:
+        say(f"warning: {warning}")
+    target = {"all": None, "report": REPORT}.get(command, command)
+    step = next((s for s in steps if s.stage.name == target), None)
+    if step is not None and not step.decision.run:
+        print(f"{target}: not needed ({step.decision.reason})")
         return 0
-    dataset.prepare()
-    for warning in () if options.alone else capture.warnings:
-        progress.say(f"warning: {warning}")
-    steps = make_plan(capture, stages, overrides, environments, dataset.digests)
-    dataset.digests.save(dataset.write_text)
-    return _bring_up_to_date(options, capture, dataset, steps, environments, progress)
+    wanted = _wanted(steps, target)
+    found = {name: state for name, state in states(dataset, steps).items() if name in {s.stage.name for s in wanted}}
+    kept = remember(call.last, call.settings, set(found), call.stages)
+    if call.options.device == "cuda" and any(s.stage.device and not found[s.stage.name].ready for s in wanted):
+        _check_cuda()
+    _describe(call, steps, kept)
+    _announce(call, steps, found)
+    made = [s.stage.name for s in wanted if _bring(call, s)]
+    _describe(call, steps, kept)
+    if all(state.kind == "done" for state in found.values()) and not made:
+        print(f"{dataset.root}: up to date, nothing to do")
+    if wanted[-1].stage.name == REPORT:
+        print(f"report: {_report_path(dataset)}")
+    elif target is not None:
+        print(f"{target}: {dataset.root / target / 'current'}")
+    if stale := stale_after(dataset, steps):
+        print(f"out of date: {', '.join(stale)} (made from earlier versions); `make {REPORT}` brings everything up to date")
+    return 0
 
 
-def _bring_up_to_date(
-    options: argparse.Namespace,
-    capture: Capture,
-    dataset: Dataset,
-    steps: list[Step],
-    environments: tuple[Path, ...],
-    progress: Progress,
-) -> int:
-    wanted = _wanted(steps, {"all": None, "report": "metrics"}.get(options.command, options.command))
-    if options.alone:
-        from pipeline.execute import make_version
-
-        step = next(s for s in steps if s.stage.name == options.command)
-        device = _device(options.device)
-        make_version(dataset, capture, step, environments, device, options.jobs, progress)
-        return 0
-    target = next((s for s in steps if s.stage.name == options.command), None)
-    if target is not None and not target.decision.run:
-        print(f"{target.stage.name}: not needed ({target.decision.reason})")
-        return 0
-    _describe(dataset, capture, steps)
-    if options.command == "all" and any(dataset.find(s.stage.name, s.key) is None for s in wanted):
+def _announce(call: Call, steps: list[Step], found: Mapping[str, State]) -> None:
+    """What will be made again and why, before it is."""
+    if call.command == "all" and not all(state.ready for state in found.values()):
         for step in steps:
             if not step.decision.run:
-                progress.say(f"{step.stage.name}: left out ({step.decision.reason})")
-    made = 0
-    for step in wanted:
-        version = dataset.find(step.stage.name, step.key)
-        if version is None:
-            status = _in_a_process_of_its_own(step.stage.name, capture, dataset, environments, options)
-            version = dataset.find(step.stage.name, step.key)
-            if status or version is None:
-                return status or 1
-            made += 1
-        dataset.use(version)
-    _describe(dataset, capture, steps)
-    if not made:
-        print(f"{dataset.root}: up to date, nothing to do")
-    report = dataset.root / "metrics" / "current" / "report.html"
-    if wanted and wanted[-1].stage.name == "metrics" and report.exists():
-        print(f"report: {report}")
-    return 0
+                call.progress.say(f"{step.stage.name}: left out ({step.decision.reason})")
+    for name, state in found.items():
+        if state.kind in ("again", "switch") and state.root:
+            verb = "made again" if state.kind == "again" else "an earlier version is put to use"
+            call.progress.say(f"{name}: {verb} ({state.why})")
+    if hint := keep_hint(call.last, call.settings, found, call.command not in call.stages):
+        call.progress.say(hint)
+
+
+def _bring(call: Call, step: Step) -> bool:
+    """Put the version of a step to use, made now where there is none; returns whether it was made. Raises UserError."""
+    name, dataset = step.stage.name, call.dataset
+    version = dataset.find(name, step.key)
+    made = version is None
+    if version is None:
+        status = _in_a_process_of_its_own(call, name)
+        version = dataset.find(name, step.key)
+        if status or version is None:
+            sys.exit(status or 1)  # the child has said why
+    dataset.use(version)
+    return made
 
 
 def _wanted(steps: list[Step], target: str | None) -> list[Step]:
@@ -142,17 +209,22 @@ def _wanted(steps: list[Step], target: str | None) -> list[Step]:
     return out[::-1]
 
 
-def _in_a_process_of_its_own(
-    name: str, capture: Capture, dataset: Dataset, environments: tuple[Path, ...], options: argparse.Namespace
-) -> int:
+def _make_alone(call: Call, steps: list[Step]) -> int:
+    """The child's part of a run: one stage, whose inputs are there."""
+    from pipeline.execute import make_version
+
+    step = next(s for s in steps if s.stage.name == call.command)
+    device = _device(call.options.device) if step.stage.device else "cpu"
+    make_version(call.dataset, call.capture, step, call.capture.environments, device, call.options.jobs, call.progress)
+    return 0
+
+
+def _in_a_process_of_its_own(call: Call, name: str) -> int:
     """Run one stage in a child: its memory is its own, and a crash of a native library ends the stage alone."""
-    command = [sys.executable, "-m", "stages", name, str(capture.root), "--dataset", str(dataset.root), "--alone"]
-    command += ["--params", options.params, "--envs", shlex.join(map(str, _extra_environments(options)))]
+    options = call.options
+    command = [sys.executable, "-m", "stages", name, str(call.capture.root), "--dataset", str(call.dataset.root), "--alone"]
+    command += [f"--params={call.settings.params_text()}", f"--envs={call.settings.envs_text()}"]
     command += ["--device", options.device, "--jobs", str(options.jobs)] + (["--quiet"] if options.quiet else [])
-    if name == options.command:
-        for key, value in vars(options).items():
-            if key.startswith("p_") and value is not None:
-                command += [f"--{key[2:].replace('_', '-')}={value}"]
     path = os.pathsep.join(filter(None, [str(Path(__file__).parents[1]), os.environ.get("PYTHONPATH", "")]))
     sys.stdout.flush()
     child = subprocess.Popen(command, env={**os.environ, "PYTHONPATH": path}, preexec_fn=_die_with_parent)
@@ -164,7 +236,7 @@ def _in_a_process_of_its_own(
     if status < 0:
         why = signal.Signals(-status).name
         hint = "it may have run out of memory; " if status == -signal.SIGKILL else ""
-        raise UserError(name, f"the stage was ended by {why}", f"{hint}`make {name}` resumes it")
+        raise UserError(name, f"the stage was ended by {why}", f"{hint}the same command resumes it")
     return status
 
 
@@ -176,9 +248,9 @@ def _die_with_parent() -> None:
     ctypes.CDLL(None).prctl(pr_set_pdeathsig, signal.SIGKILL)
 
 
-def _describe(dataset: Dataset, capture: Capture, steps: list[Step]) -> None:
-    """Write `dataset.json`: the plan, with the passes that finished stages decided on by what they saw."""
-    plan = plan_as_json(steps)
+def _describe(call: Call, steps: list[Step], kept: Settings) -> None:
+    """Write `dataset.json`: the plan, with the passes that finished stages decided on by what they saw, and what was given."""
+    plan, dataset = plan_as_json(steps), call.dataset
     for step in steps:
         version = dataset.find(step.stage.name, step.key) if step.decision.run else None
         facts = version.manifest.get("facts", {}) if version else {}
@@ -186,46 +258,26 @@ def _describe(dataset: Dataset, capture: Capture, steps: list[Step]) -> None:
         if passes:
             plan[step.stage.name]["passes"] = {**plan[step.stage.name].get("passes", {}), **passes}
     fingerprint = digest_json([step.inputs.get("files", {}) for step in steps])
-    where = os.path.relpath(capture.root, dataset.root)
-    dataset.describe({"capture": where, "layout": capture.layout, "fingerprint": fingerprint, "plan": plan})
+    where = os.path.relpath(call.capture.root, dataset.root)
+    facts = {"capture": where, "layout": call.capture.layout, "fingerprint": fingerprint, "plan": plan}
+    dataset.describe({**facts, "given": kept.as_json(dataset.root)})
 
 
-def _paths(options: argparse.Namespace) -> tuple[Path, Path]:
-    """The capture and the dataset folder; either tells the other where one is not given."""
-    if options.capture:
-        capture = Path(options.capture)
-        return capture, Path(options.dataset or Path("datasets") / capture.absolute().name)
-    if options.dataset:
-        recorded = Dataset(Path(options.dataset)).read_description().get("capture")
-        if recorded:
-            return Path(os.path.normpath(Path(options.dataset).absolute() / recorded)), Path(options.dataset)
-        raise UserError(options.dataset, "holds no dataset that tells its capture", "check DATASET=, or give CAPTURE= too")
-    raise UserError("CAPTURE", "no capture folder was given", f"as in `make {options.command} CAPTURE=folder`")
+def _report_path(dataset: Dataset) -> Path:
+    return dataset.root / REPORT / "current" / "report.html"
 
 
-def _extra_environments(options: argparse.Namespace) -> list[Path]:
-    try:
-        return [Path(p) for p in shlex.split(options.envs)]
-    except ValueError as error:
-        raise UserError("ENVS", f"cannot be split into paths ({error})", "quote paths that hold spaces") from error
+def _check_cuda() -> None:
+    """Raise UserError where training on the GPU cannot be: told before anything runs."""
+    import importlib.util
 
+    import torch
 
-def _environments(options: argparse.Namespace, capture: Capture) -> tuple[Path, ...]:
-    """The capture's maps and those of ENVS, each name once. Raises UserError."""
-    by_name: dict[str, Path] = {}
-    for path in [*capture.environments, *_extra_environments(options)]:
-        if not path.is_file():
-            raise UserError(path, "no such environment map", "check ENVS=")
-        if path.suffix.lower() not in (".hdr", ".exr"):
-            raise UserError(path, "is not an .hdr or .exr file", "convert the map to one of these")
-        width, height = image_size(path)
-        if width != 2 * height:  # told now, not after the training
-            fault = f"is {width}x{height}: a latitude-longitude map is twice as wide as high"
-            raise UserError(path, fault, "convert it to that projection")
-        other = by_name.setdefault(path.stem, path)
-        if other.absolute() != path.absolute():
-            raise UserError(path, f"has the same name as {other}", "rename one of them: results are named after the map")
-    return tuple(by_name.values())
+    if not torch.cuda.is_available():
+        build = "" if torch.version.cuda else ", and this build of torch has no CUDA"
+        raise UserError("DEVICE (--device)", f"cuda: no usable GPU is here{build}", "give cpu, or auto")
+    if importlib.util.find_spec("gsplat") is None:
+        raise UserError("DEVICE (--device)", "cuda: gsplat is not installed", "pip install gsplat, or give cpu")
 
 
 def _device(choice: str) -> str:
@@ -238,46 +290,3 @@ def _device(choice: str) -> str:
     import torch
 
     return "cuda" if torch.cuda.is_available() else "cpu"
-
-
-def _collect(options: argparse.Namespace) -> int:
-    _, path = _paths(options)
-    if not path.is_dir():
-        raise UserError(path, "no such dataset", "check DATASET=")
-    gone = Dataset(path).collect()
-    print("\n".join(f"removed {p}" for p in gone) or f"{path}: nothing to remove")
-    return 0
-
-
-def _parser(stages: Mapping[str, Stage]) -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="polarfield", description=__doc__, epilog=EPILOG)
-    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for name, text in COMMANDS.items():
-        _common(commands.add_parser(name, help=text, description=text, epilog=EPILOG))
-    for name, stage in stages.items():
-        text = f"run the {name} stage and what it needs"
-        sub = commands.add_parser(name, help=text, description=text, epilog=EPILOG)
-        _common(sub)
-        group = sub.add_argument_group(f"{name} parameters")
-        hints = typing.get_type_hints(stage.parameters)
-        for f in dataclasses.fields(stage.parameters):
-            choices = typing.get_args(hints[f.name]) if typing.get_origin(hints[f.name]) is typing.Literal else None
-            default = getattr(stage.parameters(), f.name)
-            note = f"{f.metadata.get('help', '')} [default: {default}]".replace("%", "%%")
-            if choices:
-                note += f" one of {', '.join(map(str, choices))}"
-            flag = "--" + f.name.replace("_", "-")
-            group.add_argument(flag, dest=f"p_{f.name}", default=None, metavar="VALUE", help=note)
-    return parser
-
-
-def _common(parser: argparse.ArgumentParser) -> None:
-    add = parser.add_argument
-    add("capture", nargs="?", default="", help="the capture folder (default: the one that DATASET was made from)")
-    add("--dataset", default="", help="the dataset directory [default: datasets/<capture folder's name>]")
-    add("--params", default="", metavar="TEXT", help='parameters of any stage, as "train.iterations=500 olat.solver=closed"')
-    add("--envs", default="", metavar="TEXT", help='more environment maps to relight under, as "a.hdr b.exr"')
-    add("--device", default="auto", choices=("auto", "cpu", "cuda"), help="where to train [default: auto]")
-    add("--jobs", type=int, default=1, help="how many independent pieces to work on side by side [default: 1]")
-    add("--quiet", action="store_true", help="say nothing but errors and the result")
-    add("--alone", action="store_true", help=argparse.SUPPRESS)

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import difflib
+from collections.abc import Iterable
 from pathlib import Path
+
+FEW = 8  # names that fit a line beside a fault
 
 
 class UserError(Exception):
@@ -18,3 +22,13 @@ class UserError(Exception):
     def __str__(self) -> str:
         line = f"{self.file}: {self.fault}"
         return " ".join((f"{line}; {self.remedy}" if self.remedy else line).split())
+
+
+def nearest(name: str, valid: Iterable[str]) -> str:
+    """A remedy for a misspelt name: the valid one nearest to it, and all of them where they are few or none is near."""
+    names = {n.lower().strip("-").replace("-", "_"): n for n in valid}
+    near = difflib.get_close_matches(name.lower().strip("-").replace("-", "_"), names, 1)
+    listed = f"known: {', '.join(names.values())}" if names else "there is none to give"
+    if not near:
+        return listed
+    return f"did you mean {names[near[0]]}?" + (f" {listed}" if len(names) <= FEW else "")

@@ -17,7 +17,7 @@ from pipeline.dataset.digests import digest_file
 from pipeline.dataset.usage import Usage
 from pipeline.errors import UserError
 from pipeline.plan import Step, as_json
-from pipeline.progress import Progress, clock
+from pipeline.progress import Progress, brief
 from pipeline.stage import StageRun
 
 PACKAGES = {
@@ -66,7 +66,7 @@ def make_version(
         finally:
             usage.stop()
         dataset.clear_work(name, key)
-        progress.say(f"{name}: done in {clock(float(figures['wall_s']))}, {figures['peak_rss_mb']:.0f} MB")
+        progress.say(f"{name}: done in {brief(float(figures['wall_s']))}, {figures['peak_rss_mb']:.0f} MB")
         return version
 
 

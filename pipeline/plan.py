@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import importlib
+import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,7 +12,7 @@ from typing import Any
 
 from pipeline.capture import Capture
 from pipeline.dataset import DigestCache, digest_json
-from pipeline.errors import UserError
+from pipeline.errors import UserError, nearest
 from pipeline.stage import Decision, Stage, parameters_from
 
 Overrides = Mapping[str, Mapping[str, Any]]  # stage name -> parameter -> value
@@ -37,13 +38,17 @@ def load_stages(modules: Mapping[str, str]) -> dict[str, Stage]:
 def parse_overrides(text: str, stages: Mapping[str, Stage]) -> dict[str, dict[str, str]]:
     """`train.iterations=500 olat.solver=closed` as {stage: {parameter: value}}. Raises UserError."""
     out: dict[str, dict[str, str]] = {}
-    for item in text.split():
+    try:
+        items = shlex.split(text)
+    except ValueError as error:
+        raise UserError("PARAMS", f"cannot be split ({error})", "quote values that hold spaces") from error
+    for item in items:
         left, equals, value = item.partition("=")
         stage, dot, name = left.partition(".")
         if not (equals and dot and name):
             raise UserError("PARAMS", f"{item!r} is not of the form stage.parameter=value", "as in train.iterations=500")
         if stage not in stages:
-            raise UserError("PARAMS", f"there is no stage {stage!r}", f"the stages are {', '.join(stages)}")
+            raise UserError("PARAMS", f"there is no stage {stage!r}", nearest(stage, stages))
         out.setdefault(stage, {})[name] = value
     return out
 
@@ -59,12 +64,12 @@ def make_plan(
     for name in capture.config.stage:
         if name not in stages:
             path = capture.config.path or capture.root
-            raise UserError(path, f"[stage.{name}] names no stage", f"the stages are {', '.join(stages)}")
+            raise UserError(path, f"[stage.{name}] names no stage", nearest(name, stages))
     steps: dict[str, Step] = {}
     for name, stage in stages.items():
         from_file = capture.config.stage.get(name, {})
         parameters_from(stage, from_file, str(capture.config.path))  # so that a fault there is laid at its door
-        parameters = parameters_from(stage, {**from_file, **overrides.get(name, {})}, "parameters")
+        parameters = parameters_from(stage, {**from_file, **overrides.get(name, {})}, "PARAMS")
         decision = stage.needed(capture, parameters)
         if not decision.run:
             steps[name] = Step(stage, decision, parameters)
@@ -104,13 +109,3 @@ def as_json(value: Any) -> Any:
 def plan_as_json(steps: list[Step]) -> dict[str, Any]:
     """The plan as `dataset.json` keeps it."""
     return {step.stage.name: step.decision.as_json() for step in steps}
-
-
-def plan_as_text(steps: list[Step]) -> str:
-    """The plan for a person: one line a stage, passes below it."""
-    lines = []
-    for step in steps:
-        lines.append(f"  {'run ' if step.decision.run else 'skip'}  {step.stage.name:8} {step.decision.reason}")
-        for name, choice in step.decision.passes.items():
-            lines.append(f"                 {'with' if choice.run else 'without'} {name}: {choice.reason}")
-    return "\n".join(lines)

@@ -83,6 +83,11 @@ def clock(seconds: float) -> str:
     return f"{s // 60} min {s % 60:02d} s" if s < 3600 else f"{s // 3600} h {s % 3600 // 60:02d} min"
 
 
+def brief(seconds: float) -> str:
+    """As `clock`, with a digit after the point below ten seconds."""
+    return f"{seconds:.1f} s" if seconds < 9.95 else clock(seconds)
+
+
 class Progress:
     """Where a stage reports how far it is."""
 

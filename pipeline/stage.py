@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pipeline.errors import UserError
+from pipeline.errors import UserError, nearest
 from pipeline.progress import Progress
 
 if TYPE_CHECKING:
@@ -44,7 +44,8 @@ class Stage:
 
     `version` grows whenever the meaning of its output changes. `needs` are upstream stages, read where the plan runs
     them. `capture_files` are the capture's files that it reads itself, and `config` the `capture.toml` sections that
-    it heeds: both enter its key. `environments` says that it reads the maps to relight under.
+    it heeds: both enter its key. `environments` says that it reads the maps to relight under, `device` that it runs on
+    the device that a call names (every other stage runs on the processor and loads nothing to find out).
     """
 
     name: str
@@ -56,6 +57,7 @@ class Stage:
     capture_files: Callable[[Capture], Iterable[Path]] = no_files
     config: tuple[str, ...] = ()
     environments: bool = False
+    device: bool = False
 
 
 @dataclass
@@ -96,7 +98,7 @@ def parameters_from(stage: Stage, overrides: Mapping[str, Any], source: str) -> 
     for key, value in overrides.items():
         name = key.replace("-", "_")
         if name not in known:
-            raise UserError(source, f"{stage.name} has no parameter {key!r}", f"it has {', '.join(known) or 'none'}")
+            raise UserError(source, f"{stage.name} has no parameter {key!r}", nearest(key, known))
         values[name] = _convert(value, types_by_name[name], f"{stage.name}.{key}", source)
     try:
         return stage.parameters(**values)
@@ -108,7 +110,7 @@ def _convert(value: Any, kind: Any, key: str, source: str) -> Any:
     origin, arguments = typing.get_origin(kind), typing.get_args(kind)
     if origin is typing.Literal:
         if str(value) not in map(str, arguments):
-            raise UserError(source, f"{key} = {value!r} is unknown", f"choose from {', '.join(map(str, arguments))}")
+            raise UserError(source, f"{key} = {value!r} is unknown", nearest(str(value), map(str, arguments)))
         return next(a for a in arguments if str(a) == str(value))
     if origin in (types.UnionType, typing.Union):
         if value is None or str(value).lower() in ("none", ""):

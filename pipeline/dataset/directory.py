@@ -60,6 +60,21 @@ class Dataset:
         link = self.root / stage / "current"
         return self.find(stage, os.readlink(link)) if link.is_symlink() else None
 
+    def versions(self, stage: str) -> list[Version]:
+        """All whole versions of a stage."""
+        folder = self.root / stage
+        keys = sorted(p.name for p in folder.iterdir() if not p.is_symlink()) if folder.is_dir() else []
+        return [v for v in (self.find(stage, key) for key in keys) if v]
+
+    def work_folder(self, stage: str, key: str) -> Path:
+        """Where a version is made; it outlives a kill."""
+        return self.root / ".work" / stage / key
+
+    @property
+    def exists(self) -> bool:
+        """Whether the folder is a dataset: it has a description, or work was begun in it."""
+        return (self.root / "dataset.json").is_file() or (self.root / ".work").is_dir()
+
     def read_description(self) -> dict[str, Any]:
         """`dataset.json`, or an empty dict where there is none."""
         try:
@@ -111,13 +126,26 @@ class Dataset:
         _sync(link.parent)
 
     @contextlib.contextmanager
+    def in_use(self, alone: bool = False) -> Iterator[bool]:
+        """Hold the dataset open for a run; `alone` asks to be the only one. Yields whether that was granted."""
+        with (self.root / ".work" / "in_use.lock").open("a") as lock:
+            try:
+                fcntl.flock(lock, (fcntl.LOCK_EX if alone else fcntl.LOCK_SH) | fcntl.LOCK_NB)
+            except BlockingIOError:
+                if alone:
+                    yield False
+                    return
+                fcntl.flock(lock, fcntl.LOCK_SH)  # a collection is soon over
+            yield True
+
+    @contextlib.contextmanager
     def making(self, stage: str, key: str, waiting: Callable[[], None]) -> Iterator[Path]:
         """Hold the right to make one version; yields its work folder.
 
         Another process that makes the same version is waited for (after calling `waiting`); a killed one lets go by
         dying. Different keys do not wait for each other.
         """
-        work = self.root / ".work" / stage / key
+        work = self.work_folder(stage, key)
         work.mkdir(parents=True, exist_ok=True)
         with (work.parent / f"{key}.lock").open("w") as lock:
             try:
@@ -145,31 +173,7 @@ class Dataset:
 
     def clear_work(self, stage: str, key: str) -> None:
         """Drop the work folder of a version that has been published."""
-        shutil.rmtree(self.root / ".work" / stage / key, ignore_errors=True)
-
-    # -- collecting ------------------------------------------------------------------------------------------------
-
-    def collect(self) -> list[Path]:
-        """Remove every version that is not in use, and abandoned work; returns what went."""
-        gone = []
-        for stage in sorted(p for p in self.root.iterdir() if p.is_dir() and not p.name.startswith(".")):
-            link = stage / "current"
-            kept = os.readlink(link) if link.is_symlink() else None
-            for version in sorted(stage.iterdir()):
-                if version.is_dir() and not version.is_symlink() and version.name != kept:
-                    shutil.rmtree(version)
-                    gone.append(version)
-        for lock_path in sorted((self.root / ".work").glob("*/*.lock")):
-            with lock_path.open("w") as lock:
-                try:
-                    fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                except BlockingIOError:
-                    continue  # someone is at work there
-                work = lock_path.with_suffix("")
-                if work.exists():
-                    shutil.rmtree(work)
-                    gone.append(work)
-        return gone
+        shutil.rmtree(self.work_folder(stage, key), ignore_errors=True)
 
 
 def _sync(path: Path) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from pipeline.cameras import Camera
 from pipeline.capture import Capture
+from pipeline.changes import State, outlook, standing
 from pipeline.errors import UserError
 from pipeline.images import read_image, write_fault
 from pipeline.plan import Step, plan_as_json
@@ -28,15 +29,19 @@ BYTES_PER_VALUE = 1.6
 GBUFFER_CHANNELS, TEST_CHANNELS, STOKES_CHANNELS, MAP_CHANNELS = 10, 25, 9, 31
 
 
-def write_inspection(capture: Capture, steps: Sequence[Step], folder: Path) -> Path:
-    """Write inspect.html to `folder` (made when missing) and return its path. Raises UserError when it cannot write."""
+def write_inspection(capture: Capture, steps: Sequence[Step], folder: Path, found: Mapping[str, State]) -> Path:
+    """Write inspect.html to `folder` (made when missing) and return its path; `found` tells how each step stands.
+
+    Raises UserError when it cannot write.
+    """
     shown, faults = _views(capture)
     plan = plan_as_json(list(steps))
     disk = disk_estimate(capture, {name for name, d in plan.items() if d["run"]})
     context = {
         "name": capture.root.name,
         "facts": _facts(capture),
-        "plan": [{"name": n, "passes": d.get("passes", {}), **d} for n, d in plan.items()],
+        "plan": [{"name": n, "passes": d.get("passes", {}), **d, "state": standing(found[n])} for n, d in plan.items()],
+        "outlook": outlook(found),
         "views": shown,
         "scene": json.dumps(scene_of(capture)),
         "disk": disk,

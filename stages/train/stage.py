@@ -55,4 +55,5 @@ STAGE = Stage(
     needed=needed,
     run=run,
     config=("up", "polarisers"),
+    device=True,
 )

@@ -14,6 +14,7 @@ import pytest
 
 from pipeline.capture import Capture
 from pipeline.dataset import Dataset
+from pipeline.dataset.collect import garbage, remove
 from pipeline.errors import UserError
 from pipeline.execute import make_version
 from pipeline.plan import Step, make_plan, parse_overrides
@@ -64,7 +65,8 @@ def test_a_changed_parameter_or_input_makes_a_new_version_beside_the_old_for_wha
     (capture.root / "number.txt").write_text("5")
     run_all(dataset, capture, stages)
     assert (dataset.root / "double/current/double.txt").read_text() == "20"
-    gone = dataset.collect()
+    gone = garbage(dataset, stages)
+    remove(gone)
     assert len(gone) == 4 and (dataset.root / "double/current/double.txt").read_text() == "20"
 
 
