@@ -5,24 +5,48 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-QUADRATURE_POINTS = 200_000  # 0.06 msr each: 0.5 % of an LSX3 cell's area
 CAP_OVER_MEDIAN = 1.25  # times the typical cell's reach; LSX3's regular cells reach 1.07, those at its hole 4.0
+AZIMUTHS = 360  # directions in which a cell's border is measured: areas to 1e-4 of themselves
+NEIGHBOURS = 32  # lights that are tried first as a cell's neighbours; most cells have six
 
 
 def solid_angles(directions: NDArray[np.float64], cap: bool = True) -> NDArray[np.float64]:
     """Solid angle in sr of each light [N] for unit `directions` [N, 3].
 
-    Exact spherical Voronoi areas; with `cap`, cells that reach beyond `CAP_OVER_MEDIAN` times the typical cell's reach
-    (next to a hole of the rig, or the rim of a dome) count only up to there. Lights in one direction share their cell.
+    Spherical Voronoi areas; with `cap`, cells that reach beyond `CAP_OVER_MEDIAN` times the typical cell's reach (next to a
+    hole of the rig, or the rim of a dome) count only up to there. Lights in one direction share their cell.
     """
     unique, inverse, count = np.unique(np.round(directions, 9), axis=0, return_inverse=True, return_counts=True)
-    areas, reach = _voronoi(unique)
+    border = np.stack([_border(unique, k) for k in range(len(unique))])
+    share = 4 * np.pi / (2 * np.pi * np.mean(1 - border, 1)).sum()  # the cells fill the sphere
     if cap and len(unique) > 3:
-        radius = CAP_OVER_MEDIAN * float(np.median(reach))
-        far = reach > radius
-        if far.any():
-            areas = np.where(far, np.minimum(_counted(unique, radius), areas), areas)
+        border = np.maximum(border, np.cos(CAP_OVER_MEDIAN * np.median(np.arccos(border.min(1)))))
+    areas = share * 2 * np.pi * np.mean(1 - border, 1)
     return (areas / count)[inverse.ravel()]
+
+
+def _border(points: NDArray[np.float64], k: int) -> NDArray[np.float64]:
+    """Cosine of the angle from points[k] to the border of its cell, in `AZIMUTHS` directions about it.
+
+    Along the great circle at azimuth e the cell ends at the first bisector: cot r = max over the other points p_j of
+    e·t_j / (1 - p_j·p_k), t_j their part across p_k. A negative one lies beyond 90 degrees.
+    """
+    centre = points[k]
+    across = np.cross(centre, np.eye(3)[np.argmin(np.abs(centre))])
+    across /= np.linalg.norm(across)
+    frame = np.stack([across, np.cross(centre, across)])
+    others = np.delete(points, k, 0)
+    if not len(others):
+        return np.full(AZIMUTHS, -1.0)
+    gap = 0.5 * np.sum((others - centre) ** 2, 1)  # 1 - cosine, without its cancellation
+    pull = others @ frame.T / gap[:, None]
+    strength = np.hypot(*pull.T)
+    angle = (np.arange(AZIMUTHS) + 0.5) * (2 * np.pi / AZIMUTHS)
+    azimuths = np.stack([np.cos(angle), np.sin(angle)])
+    cotangent = np.max(pull[np.argsort(-strength)[:NEIGHBOURS]] @ azimuths, 0)
+    if np.count_nonzero(strength > cotangent.min()) > NEIGHBOURS:  # the border may lie beyond the nearest
+        cotangent = np.max(pull @ azimuths, 0)
+    return cotangent / np.sqrt(1 + cotangent**2)
 
 
 def nearest_light(directions: NDArray[np.float64], lights: NDArray[np.float64]) -> NDArray[np.intp]:
@@ -30,31 +54,6 @@ def nearest_light(directions: NDArray[np.float64], lights: NDArray[np.float64]) 
     from scipy.spatial import cKDTree
 
     return cKDTree(lights).query(directions)[1]
-
-
-def _voronoi(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Area in sr and reach (angle to the farthest corner, rad) of each cell; by counting where the cells are degenerate."""
-    from scipy.spatial import SphericalVoronoi
-
-    try:
-        cells = SphericalVoronoi(points, threshold=1e-9)
-        areas = cells.calculate_areas()
-        reach = np.array([np.arccos(np.clip((cells.vertices[r] @ p).min(), -1, 1)) for r, p in zip(cells.regions, points)])
-        if np.isfinite(areas).all() and abs(areas.sum() / (4 * np.pi) - 1) < 1e-6:
-            return areas, reach
-    except ValueError:  # fewer than four lights, or all in one plane
-        pass
-    areas = _counted(points, np.pi)
-    return areas, np.sqrt(areas / np.pi)
-
-
-def _counted(points: NDArray[np.float64], radius: float) -> NDArray[np.float64]:
-    """Cell areas by counting Fibonacci points nearest to each light and within `radius` (rad)."""
-    grid = fibonacci_sphere(QUADRATURE_POINTS)
-    owner = nearest_light(grid, points)
-    near = np.einsum("ij,ij->i", grid, points[owner]) >= np.cos(radius)
-    counts = np.bincount(owner[near], minlength=len(points)).astype(np.float64)
-    return counts * (4 * np.pi / QUADRATURE_POINTS)
 
 
 def fibonacci_sphere(count: int) -> NDArray[np.float64]:

@@ -48,35 +48,56 @@ def _threshold(light, ok, level, weight):
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
-def _reweight(light, ok, wx, wy, wz, bx, by, bz, grazing, shadowed, inverse, weight):
-    """Geman-McClure weights of lights that are not shadowed; returns the weighted square residual and the weights' sum."""
-    ss = sw = ZERO * light[0]
+def _reweighted(light, ok, wx, wy, wz, bx, by, bz, grazing, shadowed, inverse, weight):
+    """Geman-McClure weights of lights that are not shadowed, and the normal equations under them, in one pass.
+
+    Returns the equations, the weighted square residual and the weights' sum.
+    """
+    a = b = c = d = e = f = x = y = z = ss = sw = ZERO * light[0]
     for k in range(light.size):
-        p = bx * wx[k] + by * wy[k] + bz * wz[k]
-        r = light[k] - p
-        t = r * inverse
+        v = light[k]
+        prediction = bx * wx[k] + by * wy[k] + bz * wz[k]
+        residual = v - prediction
+        t = residual * inverse
         u = ONE / (ONE + t * t)
         w = ok[k] * u * u
-        w = w if (p > grazing) and (light[k] > shadowed * p) else ZERO
+        w = w if (prediction > grazing) and (v > shadowed * prediction) else ZERO
         weight[k] = w
-        ss += w * r * r
+        ss += w * residual * residual
         sw += w
-    return ss, sw
+        p, q, r = w * wx[k], w * wy[k], w * wz[k]
+        a += p * wx[k]
+        b += p * wy[k]
+        c += p * wz[k]
+        d += q * wy[k]
+        e += q * wz[k]
+        f += r * wz[k]
+        x += p * v
+        y += q * v
+        z += r * v
+    return a, b, c, d, e, f, x, y, z, ss, sw
 
 
-@njit(cache=True, error_model="numpy")
-def _residual_scale(light, ok, wx, wy, wz, bx, by, bz, grazing, work, scratch):
-    n = 0
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def _residuals(light, ok, wx, wy, wz, bx, by, bz, grazing, work):
+    """Absolute residuals of the lit samples into `work` (-1: not one of them); returns their number."""
+    n = ZERO * light[0]
     for k in range(light.size):
         p = bx * wx[k] + by * wy[k] + bz * wz[k]
-        if ok[k] > 0 and p > grazing and light[k] > 0.5 * p:
-            work[n] = abs(light[k] - p)
-            n += 1
-    return MAD * kth_largest(work, n, n // 2, scratch) if n > 0 else 0.0
+        lit = ok[k] > ZERO and p > grazing and light[k] > HALF * p
+        work[k] = abs(light[k] - p) if lit else -ONE
+        n += ONE if lit else ZERO
+    return n
 
 
 @njit(cache=True, error_model="numpy")
-def fit_normal(light, ok, wx, wy, wz, rounds, plain, weight, work, scratch):
+def _residual_scale(light, ok, wx, wy, wz, bx, by, bz, grazing, work):
+    n = int(_residuals(light, ok, wx, wy, wz, bx, by, bz, grazing, work))
+    return MAD * kth_largest(work, n // 2) if n > 0 else 0.0
+
+
+@njit(cache=True, error_model="numpy")
+def fit_normal(light, ok, wx, wy, wz, rounds, plain, weight, work):
     """Scaled diffuse normal `m` = (albedo x normal) of one pixel.
 
     light [N]: I_d over irradiance factor; ok [N]: 1 usable, 0 not; w [N]: directions to the lights; `weight` [N] is
@@ -85,14 +106,13 @@ def fit_normal(light, ok, wx, wy, wz, rounds, plain, weight, work, scratch):
     """
     usable = 0
     for k in range(light.size):
-        if ok[k] > 0:
-            work[usable] = light[k]
-            usable += 1
+        work[k] = light[k] if ok[k] > 0 else -ONE
+        usable += 1 if ok[k] > 0 else 0
     if usable < 3:
         for k in range(light.size):
             weight[k] = ZERO
         return 0.0, 0.0, 0.0, 0.0, usable, False
-    top = kth_largest(work, usable, min(4, usable - 1), scratch)
+    top = kth_largest(work, min(4, usable - 1))
     solved = False
     mx = my = mz = 0.0
     if top > 0:
@@ -111,13 +131,14 @@ def fit_normal(light, ok, wx, wy, wz, rounds, plain, weight, work, scratch):
         size = math.sqrt(mx * mx + my * my + mz * mz)
         bx, by, bz, grazing = kind(mx), kind(my), kind(mz), kind(GRAZING * size)
         if step < 3:
-            scale = _residual_scale(light, ok, wx, wy, wz, bx, by, bz, grazing, work, scratch)
+            scale = _residual_scale(light, ok, wx, wy, wz, bx, by, bz, grazing, work)
         scale = max(scale, SCALE_FLOOR * size)
         inverse, shadowed = kind(0.0 if plain else 1.0 / (TUNING * scale)), kind(-1e30 if plain else SHADOWED)
         if plain:
             grazing = ZERO
-        ss, sw = _reweight(light, ok, wx, wy, wz, bx, by, bz, kind(grazing), shadowed, inverse, weight)
-        a, b, c, d, e, f, x, y, z = _normal_equations(light, wx, wy, wz, weight)
+        a, b, c, d, e, f, x, y, z, ss, sw = _reweighted(
+            light, ok, wx, wy, wz, bx, by, bz, kind(grazing), shadowed, inverse, weight
+        )
         nx, ny, nz, fine = solve3(a, b, c, d, e, f, x, y, z)
         if not fine or sw < 3.0 * HALF:
             break

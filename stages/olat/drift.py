@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from stages.olat.frames import Samples, bands_of, read_bands
 
-ALIGN_LIGHTS = 32  # a pass, of which `EVERY`-th are looked at: enough edges to see a shift before the fits
+ALIGN_LIGHTS = 8  # a pass: enough edges to see a shift before the fits
 WARN_PX = 0.5  # a shift that mixes neighbouring pixels
-EVERY = 4  # lights: enough for a mean image
+EVERY = 8  # lights: enough for a mean image
 LEAST_LIKENESS = 0.5  # correlation of the passes' edges below which nothing can be told
 CLEARLY = 0.6  # of what no shift leaves unexplained: a shift must leave less
 SIDE = 960  # pixels of the longer side at which the shift is measured
@@ -20,8 +20,9 @@ SIDE = 960  # pixels of the longer side at which the shift is measured
 class Drift:
     """Collects the mean image of each pass, band by band, at no more than `SIDE` pixels."""
 
-    def __init__(self, width: int, height: int) -> None:
-        """Empty means for frames of this size."""
+    def __init__(self, width: int, height: int, every: int = EVERY) -> None:
+        """Empty means of each `every`-th light for frames of this size."""
+        self.every = every
         self.width = width
         self.step = max(1, -(-max(width, height) // SIDE))
         self.means = np.zeros((2, -(-height // self.step), -(-width // self.step)))
@@ -31,7 +32,7 @@ class Drift:
         rows, columns = np.divmod(samples.band.pixels, self.width)
         on = (rows % self.step == 0) & (columns % self.step == 0)
         for k, data in enumerate((samples.cross, samples.parallel)):
-            part = data[::EVERY, on]
+            part = data[:: self.every, on]
             values = part.view(np.float16) if part.dtype == np.uint16 else part
             mean = np.nan_to_num(values.astype(np.float32), posinf=0, neginf=0).mean((0, 2))
             self.means[k, rows[on] // self.step, columns[on] // self.step] = mean
@@ -110,7 +111,7 @@ def measure(
     """(right, down) shift of the parallel pass from a few lights of each. Raises UserError."""
     step = max(1, len(cross) // ALIGN_LIGHTS)
     few = cross[::step], parallel[::step]
-    drift = Drift(mask.shape[1], mask.shape[0])
+    drift = Drift(mask.shape[1], mask.shape[0], 1)
     for samples in read_bands(*few, bands_of(mask, len(few[0]), band_mb, 2 if half else 4), half):
         drift.add(samples)
     return drift.shift()

@@ -96,7 +96,7 @@ def fit(cross, parallel, view, rig, settings: Settings, precision: str = "float3
         np.ascontiguousarray(rig.directions.T, kind), np.ascontiguousarray(rig.positions, np.float64),
         np.ascontiguousarray(rig.solid_angle, kind), np.ascontiguousarray(rig.intensity, kind), settings, out, norms,
     )  # fmt: skip
-    starts = range(0, pixels, SHARE)
+    starts = range(0, max(pixels, 1), SHARE)  # called for no pixels too: that loads the kernels
     with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
         for task in [pool.submit(fit_pixels, start, min(start + SHARE, pixels), *arguments) for start in starts]:
             task.result()

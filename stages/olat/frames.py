@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Generator, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,7 @@ from pipeline.errors import UserError
 
 CHUNK_ROWS = 16  # scanlines that EXR's zip compresses together: a band that splits them reads them twice
 READERS = 2
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -80,32 +82,51 @@ def read_bands(
     shift: whole pixels (right, down) by which the parallel pass lies off the crossed one, undone on reading (`height`: of the
     frames; pixels beyond their edge repeat it). Raises UserError.
     """
-    frames = [*cross, *parallel]
-    count = len(cross)
-    kind = np.uint16 if half else np.float32
-
-    def begin(pool: ThreadPoolExecutor, band: Band) -> tuple[Samples, list[Future]]:
-        buffer = np.empty((2, count, len(band.pixels), 3), kind)
-        samples = Samples(band, buffer[0], buffer[1])
-        parts = [frames[k :: 4 * readers] for k in range(4 * readers)]
-        places = [range(2 * count)[k :: 4 * readers] for k in range(4 * readers)]
-        flat = buffer.reshape(2 * count, len(band.pixels), 3)
-        moves = [[shift if k >= count else (0, 0) for k in place] for place in places]
-        tasks = [pool.submit(_read_part, *task, band, half, height, flat) for task in zip(parts, places, moves)]
-        return samples, tasks
-
     with ThreadPoolExecutor(readers) as pool:
-        ahead = begin(pool, bands[0]) if bands else None
+        yield from ahead(read_band(pool, readers, cross, parallel, band, half, shift, height) for band in bands)
+
+
+def read_band(
+    pool: ThreadPoolExecutor, readers: int, cross: list[Path], parallel: list[Path], band: Band, half: bool,
+    shift: tuple[int, int], height: int,
+) -> Samples:  # fmt: skip
+    """The samples of one band, read by the `readers` threads of `pool`. See `read_bands`."""
+    frames, count, parts = [*cross, *parallel], len(cross), 4 * readers
+    buffer = np.empty((2, count, len(band.pixels), 3), np.uint16 if half else np.float32)
+    flat = buffer.reshape(2 * count, len(band.pixels), 3)
+    places = [range(2 * count)[k::parts] for k in range(parts)]
+    moves = [[shift if k >= count else (0, 0) for k in place] for place in places]
+    tasks = [
+        pool.submit(_read_part, frames[k::parts], places[k], moves[k], band, half, height, flat) for k in range(parts)
+    ]  # fmt: skip
+    try:
+        for task in tasks:
+            task.result()
+    finally:
+        for task in tasks:
+            task.cancel()
+    return Samples(band, buffer[0], buffer[1])
+
+
+def ahead(items: Iterator[T]) -> Generator[T, None, None]:
+    """The same items, each made by a thread while the caller holds the one before; the first is begun at once.
+
+    Never more than two exist: one with the caller, one being made or waiting.
+    """
+    pool = ThreadPoolExecutor(1)
+    first = pool.submit(next, items, None)
+
+    def hand_over() -> Generator[T, None, None]:
+        made = first
         try:
-            for index in range(len(bands)):
-                assert ahead is not None
-                samples, tasks = ahead
-                for task in tasks:
-                    task.result()
-                ahead = begin(pool, bands[index + 1]) if index + 1 < len(bands) else None
-                yield samples
+            while (item := made.result()) is not None:
+                made = pool.submit(next, items, None)
+                yield item
         finally:
-            pool.shutdown(wait=False, cancel_futures=True)
+            made.cancel()
+            pool.shutdown(wait=True)
+
+    return hand_over()
 
 
 def _read_part(

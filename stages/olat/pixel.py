@@ -121,7 +121,7 @@ def fit_pixel(cross, parallel, w, o, area, energy, settings, room, out):
 
     # diffuse
     mx, my, mz, scale, _, solved = fit_normal(
-        room.diffuse, room.ok, w[0], w[1], w[2], settings.rounds, settings.plain, room.weight, room.work, room.scratch
+        room.diffuse, room.ok, w[0], w[1], w[2], settings.rounds, settings.plain, room.weight, room.work
     )
     size = math.sqrt(mx * mx + my * my + mz * mz)
     solved = solved and size > 0

@@ -6,7 +6,7 @@ import json
 import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from itertools import chain, groupby
 from pathlib import Path
 from typing import Any
 
@@ -14,71 +14,74 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.cameras import Camera, camera_from_frame
+from pipeline.cameras import Camera
 from pipeline.capture.model import LightTable
-from pipeline.errors import UserError
-from pipeline.images import read_mask
 from pipeline.lights.lobes import LOBES
 from pipeline.lights.solid_angles import solid_angles
 from pipeline.stage import StageRun
+from stages.olat.cameras import PILOT, CameraJob, decoded
 from stages.olat.columns import FLAG, RESIDUAL, columns
-from stages.olat.drift import WARN_PX, Drift, measure
+from stages.olat.drift import WARN_PX
 from stages.olat.fit import fit
 from stages.olat.footprint import with_neighbours
-from stages.olat.frames import Band, Samples, bands_of, is_half, read_bands
+from stages.olat.frames import Band, Samples
 from stages.olat.maps_out import MapWriter
 from stages.olat.paper import SPECULAR_FITS
 from stages.olat.preview import write_preview
 from stages.olat.stage import OlatParameters, every
+from stages.olat.stream import Lanes, Piece
 from stages.olat.workspace import Settings
 
 FLAGS = ("good", "too few lights", "saturated", "black", "no lobe", "bad samples")
 PRIOR = (1 / np.radians(0.5)) ** 2  # n_s and n_d of one surface agree to about half a degree
 GAIN = 0.9
 MIXED = 1.0
-PILOT = 600  # pixels on which the lobe is chosen
-PILOT_CHUNKS = 3  # places in the frame that they come from
 LEAST_LIGHT = 0.05
 TOLERANCE = {"float32": 3e-6, "float64": 1e-12}
 
 
-@dataclass(frozen=True)
-class CameraJob:
-    """One camera's frames in the order of the lights, its pose and its mask."""
-
-    name: str
-    cross: list[Path]
-    parallel: list[Path]
-    camera: Camera
-    mask: NDArray[np.bool_]
-
-
-def run(stage: StageRun) -> None:
-    """Fit every camera. Raises UserError on frames that cannot be read."""
-    index = json.loads((stage.inputs["decode"] / "olat.json").read_text())
+def run(stage: StageRun, lanes: Lanes) -> None:
+    """Fit every camera from its pieces. Raises UserError on frames that cannot be read."""
+    index = decoded(stage)
     parameters: OlatParameters = stage.parameters
-    step = every(parameters.lights)
-    rig = light_rig(index, step)
+    rig = light_rig(index, every(parameters.lights))
     level = index.get("saturation_level")
     clipped = float(index.get("saturated_fraction") or 0.0) > 0 and level is not None
     bound = clipped and parameters.overexposure != "off"
     why = "samples are clipped" if clipped else "nothing is over the saturation level"
     stage.note("overexposure", {"run": bound, "reason": why if parameters.overexposure != "off" else "overexposure=off"})
     stage.note("lights", {"used": len(rig), "of": len(index["lights"]["directions"])})
-    settings = settings_of(parameters, stage.capture.config.olat, float(level) if bound else np.inf)
+    settings = settings_of(parameters, stage.capture.config.olat, float(level) if bound and level is not None else np.inf)
     if not any(Path(getattr(numba.config, "CACHE_DIR", "") or ".").glob("**/fit.fit_pixels*.nbc")):
         stage.progress.say("compiling the fits for this machine (once; about a minute)")
-    jobs = [camera_job(stage, name, entry, step) for name, entry in index["cameras"].items()]
-    settings = choose_lobe(stage, jobs[0], rig, settings)
+    none = np.empty((len(rig), 0, 3), np.uint16 if lanes.jobs[0][0].half else np.float32)
+    fit(none, none, np.empty((0, 3)), rig, settings, parameters.precision)  # loads the kernels while the frames are read
+    pilot, lanes.pieces[0] = _pilot(lanes.pieces[0])
+    settings = choose_lobe(stage, pilot, rig, settings)
+    del pilot  # it may be a whole band
     lobe = next(name for name, value in LOBES.items() if value == settings.lobe)
     stage.note("lobe", lobe)
     facts = {"schema": 1, "lobe": lobe, "sigma": "Beckmann/Ward widths", "roughness": "(sigma_x sigma_y)^(1/4)"}
     (stage.output / "maps.json").write_text(json.dumps(facts, indent=1) + "\n")
-    side_by_side = max(1, min(stage.jobs, len(jobs)))
-    threads = max(1, (os.cpu_count() or 1) // side_by_side)
-    with ThreadPoolExecutor(side_by_side) as pool:  # the kernels and the readers release the interpreter's lock
-        for task in [pool.submit(fit_camera, stage, job, rig, settings, threads) for job in jobs]:
+    threads = max(1, (os.cpu_count() or 1) // len(lanes.jobs))
+
+    def fit_lane(jobs: list[CameraJob], pieces: Iterator[Piece]) -> None:
+        for job, (_, own) in zip(jobs, groupby(pieces, key=lambda piece: piece.job.name)):
+            fit_camera(stage, job, own, rig, settings, threads)
+
+    with ThreadPoolExecutor(len(lanes.jobs)) as pool:  # the kernels and the readers release the interpreter's lock
+        for task in [pool.submit(fit_lane, *lane) for lane in zip(lanes.jobs, lanes.pieces)]:
             task.result()
+
+
+def _pilot(pieces: Iterator[Piece]) -> tuple[list[Piece], Iterator[Piece]]:
+    """The pieces on which the lobe is chosen, and those to fit: the first band is both where it is the only one."""
+    pilot: list[Piece] = []
+    for piece in pieces:
+        if not piece.pilot:
+            return pilot or [piece], chain([piece], pieces)
+        pilot.append(piece)
+    return pilot, pieces
 
 
 def light_rig(index: dict[str, Any], step: int = 1) -> LightTable:
@@ -105,20 +108,16 @@ def settings_of(parameters: OlatParameters, config: Any, saturation: float) -> S
     )  # fmt: skip
 
 
-def choose_lobe(stage: StageRun, job: CameraJob, rig: LightTable, settings: Settings) -> Settings:
-    """Where the lobe is `auto`: Ward's or Beckmann's, by which leaves the smaller residual on more of a sample of pixels."""
+def choose_lobe(stage: StageRun, pilot: list[Piece], rig: LightTable, settings: Settings) -> Settings:
+    """Where the lobe is `auto`: Ward's or Beckmann's, by which leaves the smaller residual on more of the pilot's pixels."""
     parameters: OlatParameters = stage.parameters
     if parameters.lobe != "auto" or settings.gradient:
         return settings
-    half = frames_plan(job, rig, parameters)[0]
-    chunks = bands_of(job.mask, len(rig), 0.0, 2)  # single chunks of scanlines: little to read
-    chosen = [chunks[k] for k in sorted({len(chunks) * q // (PILOT_CHUNKS + 1) for q in range(1, PILOT_CHUNKS + 1)})]
-    step = max(1, sum(len(chunk.pixels) for chunk in chosen) // PILOT)
-    thinned = [replace(chunk, pixels=chunk.pixels[::step]) for chunk in chosen]
-    parts = list(read_bands(job.cross, job.parallel, thinned, half))
-    cross, parallel = (np.concatenate([getattr(part, side) for part in parts], 1) for side in ("cross", "parallel"))
-    view = -job.camera.rays().reshape(-1, 3)[np.concatenate([chunk.pixels for chunk in thinned])]
-    points = nearest_points(job.camera, view) if stage.capture.config.olat.near_light else None
+    camera, parts = pilot[0].job.camera, [piece.samples for piece in pilot]
+    step = max(1, sum(len(part.band.pixels) for part in parts) // PILOT)
+    cross, parallel = (np.concatenate([getattr(part, side)[:, ::step] for part in parts], 1) for side in ("cross", "parallel"))
+    view = -camera.rays().reshape(-1, 3)[np.concatenate([part.band.pixels[::step] for part in parts])]
+    points = nearest_points(camera, view) if stage.capture.config.olat.near_light else None
     found = {}
     for name in ("ward", "beckmann"):
         trial = settings._replace(lobe=LOBES[name])
@@ -131,48 +130,27 @@ def choose_lobe(stage: StageRun, job: CameraJob, rig: LightTable, settings: Sett
     return settings._replace(lobe=LOBES["beckmann" if share > 0.5 else "ward"])
 
 
-def frames_plan(job: CameraJob, rig: LightTable, parameters: OlatParameters) -> tuple[bool, list[Band]]:
-    """Whether the frames are half floats, and the bands in which they are read."""
-    half = all(is_half(path) for path in (job.cross[0], job.parallel[0]))
-    return half, bands_of(job.mask, len(rig), parameters.band_mb, 2 if half else 4)
-
-
-def camera_job(stage: StageRun, name: str, entry: dict[str, Any], step: int) -> CameraJob:
-    """One camera of olat.json with its mask (masks stage, else the capture's, else the whole frame). Raises UserError."""
-    root = stage.capture.root
-    camera = camera_from_frame({"file_path": name, **entry["camera"]}, {}, stage.inputs["decode"] / "olat.json")
-    made = stage.inputs["masks"] / f"{name}.png" if "masks" in stage.inputs else None
-    path = made if made is not None and made.is_file() else (root / entry["mask"] if entry.get("mask") else None)
-    shape = (int(entry["height"]), int(entry["width"]))
-    mask = read_mask(path) if path is not None else np.ones(shape, bool)
-    if mask.shape != shape:
-        raise UserError(
-            path or root, f"is {mask.shape[1]}x{mask.shape[0]}, the frames {shape[1]}x{shape[0]}", "make it their size"
-        )
-    if not mask.any():
-        raise UserError(path or root, "the mask is all black: no object in this view", "mend the mask")
-    cross, parallel = ([root / p for p in entry[key]][::step] for key in ("cross", "parallel"))
-    return CameraJob(name, cross, parallel, camera, mask)
-
-
-def fit_camera(stage: StageRun, job: CameraJob, rig: LightTable, settings: Settings, threads: int | None = None) -> None:
-    """Read, fit and write one camera."""
+def fit_camera(
+    stage: StageRun, job: CameraJob, pieces: Iterator[Piece], rig: LightTable, settings: Settings, threads: int | None
+) -> None:
+    """Fit and write one camera from its pieces."""
     parameters: OlatParameters = stage.parameters
-    half, bands = frames_plan(job, rig, parameters)
     view = -job.camera.rays().reshape(-1, 3)
-    shift = alignment(stage, job, half)
-    counts, drift, directed = np.zeros(len(FLAGS), int), Drift(job.camera.width, job.camera.height), 0
+    counts, directed, left = np.zeros(len(FLAGS), int), 0, (0.0, 0.0)
     with (
         stage.progress.bar(f"fitting {job.name}", int(job.mask.sum()), "px") as bar,
         MapWriter(stage.output / job.name, job.camera.width, job.camera.height) as writer,
     ):
 
         def fitted() -> Iterator[tuple[Band, NDArray[np.float64]]]:
-            for samples in read_bands(job.cross, job.parallel, bands, half, shift=shift, height=job.camera.height):
-                drift.add(samples)
-                rows = fit_band(stage, job, samples, view[samples.band.pixels], rig, settings, threads)
+            nonlocal left
+            for number, piece in enumerate(pieces, 1):
+                if number == 1:
+                    say_shift(stage, job, piece.shift)
+                rows = fit_band(stage, job, piece.samples, view[piece.samples.band.pixels], rig, settings, threads)
                 bar.advance(len(rows))
-                yield samples.band, rows
+                left = piece.drift.shift() if number == len(job.bands) else left
+                yield piece.samples.band, rows
 
         surface = parameters.widths == "surface" and not settings.gradient
         for band, rows in with_neighbours(fitted(), job.camera.width) if surface else fitted():
@@ -182,7 +160,7 @@ def fit_camera(stage: StageRun, job: CameraJob, rig: LightTable, settings: Setti
             directed += int(np.count_nonzero(rows[:, columns()["tangent"]].any(1)))
             writer.write(band, rows)
     write_preview(stage.output / job.name / "preview.png", writer.preview)
-    right, down = drift.shift()
+    right, down = left
     stage.note(f"{job.name}.drift_px", [round(right, 2), round(down, 2)])
     if max(abs(right), abs(down)) > WARN_PX:
         stage.warn(
@@ -193,18 +171,15 @@ def fit_camera(stage: StageRun, job: CameraJob, rig: LightTable, settings: Setti
     stage.note(f"{job.name}.flags", {name: int(n) for name, n in zip(FLAGS, counts) if n})
 
 
-def alignment(stage: StageRun, job: CameraJob, half: bool) -> tuple[int, int]:
-    """Whole pixels (right, down) by which the parallel pass lies off the crossed one; (0, 0) where `align` is off."""
-    if not stage.parameters.align:
-        return 0, 0
-    right, down = (round(v) for v in measure(job.cross, job.parallel, job.mask, half, stage.parameters.band_mb))
+def say_shift(stage: StageRun, job: CameraJob, shift: tuple[int, int]) -> None:
+    """Tell of a shift between the passes that was undone on reading."""
+    right, down = shift
     if right or down:
         stage.note(f"{job.name}.aligned_px", [right, down])
         stage.warn(
             f"{job.name}: the parallel pass lay {right:+d} px right and {down:+d} px down of the crossed one and was read back "
             "into place; capture again with the object fixed for better maps"
         )
-    return right, down
 
 
 def fit_band(

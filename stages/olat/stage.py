@@ -101,9 +101,12 @@ def capture_files(capture: Capture) -> Iterable[Path]:
 
 def run(stage: StageRun) -> None:
     """Write camNN/ with its maps and preview.png for every camera."""
-    from stages.olat.run import run as fit_all
+    from stages.olat.stream import reading
 
-    fit_all(stage)
+    with reading(stage) as lanes:
+        from stages.olat.run import run as fit_all  # loads numba and the kernels: the frames are on their way meanwhile
+
+        fit_all(stage, lanes)
 
 
 STAGE = Stage(
