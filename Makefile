@@ -21,10 +21,10 @@ $(foreach name,$(.VARIABLES),$(if $(filter command,$(origin $(name))),$(if $(fil
 .DEFAULT_GOAL := help
 
 all plan inspect report $(STAGES): $(READY)
-	@$(BIN)/polarfield $@ $(OPTIONS)
+	@exec $(BIN)/polarfield $@ $(OPTIONS)
 
 gc: $(READY)
-	@$(BIN)/polarfield $@ $(OPTIONS) $(if $(DRY_RUN),--dry-run) $(if $(YES),--yes)
+	@exec $(BIN)/polarfield $@ $(OPTIONS) $(if $(DRY_RUN),--dry-run) $(if $(YES),--yes)
 
 setup: $(READY)  ## the environment alone
 

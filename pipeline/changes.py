@@ -110,7 +110,7 @@ def _file_differences(was: Mapping[str, str], now: Mapping[str, str]) -> list[st
     kinds = {
         "changed": [f for f in now if f in was and was[f] != now[f]],
         "new": [f for f in now if f not in was],
-        "gone": [f for f in was if f not in now],
+        "no longer given": [f for f in was if f not in now],
     }
     out = []
     for word, files in kinds.items():

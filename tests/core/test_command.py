@@ -65,7 +65,7 @@ def test_maps_are_remembered_where_a_call_is_not_about_relighting(command, captu
     assert command("metrics", "--dataset", "d").ran == []
     assert command("report", "--dataset", "d").ran == []
     without = command("relight", "--dataset", "d")
-    assert without.ran == ["relight"] and "dusk map.hdr is gone" in without.err and "ENVS=" in without.err
+    assert without.ran == ["relight"] and "dusk map.hdr is no longer given" in without.err and "ENVS=" in without.err
 
 
 def test_a_killed_run_with_parameters_can_be_told_to_a_later_call_without(command, capture):
