@@ -65,7 +65,7 @@ class MosaicConfig:
     order: tuple[float, ...] = (90.0, 45.0, 135.0, 0.0)
     colour: str | None = None
     bayer: str = "RGGB"
-    demosaic: str = "residual"
+    demosaic: str = "carriers"
 
 
 @dataclass(frozen=True)
@@ -218,7 +218,7 @@ def _check(config: CaptureConfig, path: Path) -> None:
     refuse(
         mosaic.bayer.upper() not in ("RGGB", "BGGR", "GRBG", "GBRG"), "mosaic.bayer", mosaic.bayer, "RGGB, BGGR, GRBG or GBRG"
     )
-    refuse(mosaic.demosaic not in ("residual", "bilinear"), "mosaic.demosaic", mosaic.demosaic, '"residual" or "bilinear"')
+    refuse(mosaic.demosaic not in ("carriers", "bilinear"), "mosaic.demosaic", mosaic.demosaic, '"carriers" or "bilinear"')
     refuse(config.olat.irradiance <= 0, "olat.irradiance", config.olat.irradiance, "above 0")
     for name, polariser in config.polarisers.items():
         extinction = polariser.extinction

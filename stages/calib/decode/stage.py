@@ -55,7 +55,7 @@ def run(stage: StageRun) -> None:
 
 STAGE = Stage(
     name="decode",
-    version=1,
+    version=2,
     parameters=DecodeParameters,
     needs=(),
     needed=needed,
