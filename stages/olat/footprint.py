@@ -1,7 +1,10 @@
 """Widths of the surface from widths of the pixel: a pixel sees normals that differ, and its lobe is wider by their spread.
 
 A lobe's width matrix (sigma squared) is twice the covariance of the slopes; the slopes of the footprint add theirs (Olano and
-Baker 2010, LEAN mapping, read backwards). The spread is the normals' change over one pixel, uniform across it: 1/12.
+Baker 2010, LEAN mapping, read backwards). The spread below a pixel is told from the squared differences D1, D2 between the
+normals of neighbours one and two pixels away. Pixels are box filters: of a wave of f cycles a pixel, 1 - s of the power lies
+below them, s 2(1 - cos 2 pi f) in D1 and s 2(1 - cos 4 pi f) in D2, s = sinc²(f). `NEAR D1 + FAR D2` is the first for smooth
+surfaces (f to 0: D1/12, a uniform spread) and for f = 1/4, and close to it in between: rough ones hide more below a pixel.
 """
 
 from __future__ import annotations
@@ -17,36 +20,31 @@ from stages.olat.lobe_fit import ROUND
 
 LEAST = 0.25  # of a pixel's squared width that the surface keeps: the spread is an estimate of its own
 EDGE = np.cos(np.radians(45.0))  # neighbours that differ more are another surface
-UNIFORM = 1.0 / 12.0  # variance of a uniform distribution over its width squared
+SMOOTH = 1.0 / 12.0  # variance of a uniform distribution over its width squared
+NEAR = np.pi**2 / 8 - 1 - SMOOTH
+FAR = (SMOOTH - NEAR) / 4
+CONTEXT = 2  # rows above and below that a pixel's spread depends on
 
 
-def surface_widths(rows: NDArray[np.float64], across: NDArray[np.float64], down: NDArray[np.float64]) -> None:
-    """Take the footprint's spread out of sigma, tangent, roughness and anisotropy of `rows` [P, WIDTH], in place.
-
-    across, down [P, 3]: change of the normal over one pixel (`changes`).
-    """
+def surface_widths(rows: NDArray[np.float64], spread: NDArray[np.float64]) -> None:
+    """Take the spread of normals [P, 3, 3] (covariance, rad²) out of sigma, tangent, roughness and anisotropy, in place."""
     at = columns()
     sigma, tangent, normal = (rows[:, at[name]] for name in ("sigma", "tangent", "specular_normal"))
     one_way = np.linalg.norm(tangent, axis=1) > 0.5
-    steps = np.stack([across, down], 1)  # [P, 2, 3]
-    both = UNIFORM * np.sum(steps**2, (1, 2))  # mean variance of the two axes, times two
+    both = np.trace(spread, axis1=1, axis2=2)  # mean variance of the two axes, times two
     squares = np.maximum(sigma**2 - both[:, None], LEAST * sigma**2)
     t = tangent[one_way]
-    b = np.cross(normal[one_way], t)
-    s = np.stack([np.einsum("pkc,pc->pk", steps[one_way], v) for v in (t, b)], 1)  # [P, 2 axes, 2 steps]
-    spread = 2 * UNIFORM * s @ s.transpose(0, 2, 1)
-    square = sigma[one_way] ** 2
-    matrix = np.zeros((len(t), 2, 2))
-    matrix[:, 0, 0], matrix[:, 1, 1] = square[:, 0], square[:, 1]
+    axes = np.stack([t, np.cross(normal[one_way], t)], 1)
+    across = 2 * axes @ spread[one_way] @ axes.transpose(0, 2, 1)
     # whiten by the pixel's widths: there the spread's eigenvalues say how much of the pixel's width it explains
     scale = 1.0 / np.maximum(sigma[one_way], 1e-9)
-    value, vector = np.linalg.eigh(spread * scale[:, :, None] * scale[:, None, :])
+    value, vector = np.linalg.eigh(across * scale[:, :, None] * scale[:, None, :])
     kept = np.maximum(1.0 - value, LEAST)
     matrix = np.einsum("pij,pj,pkj->pik", vector, kept, vector) * sigma[one_way][:, :, None] * sigma[one_way][:, None, :]
     value, vector = np.linalg.eigh(matrix)
     squares[one_way] = value[:, ::-1]
     axis = vector[:, :, 1]  # of the larger width
-    tangent[one_way] = axis[:, :1] * t + axis[:, 1:] * b
+    tangent[one_way] = axis[:, :1] * t + axis[:, 1:] * axes[:, 1]
     sigma[:] = np.sqrt(squares)
     large, small = sigma[:, 0], sigma[:, 1]
     tangent[large - small <= ROUND * (large + small)] = 0.0
@@ -54,51 +52,78 @@ def surface_widths(rows: NDArray[np.float64], across: NDArray[np.float64], down:
     rows[:, at["anisotropy"]] = np.divide(large - small, large + small, out=np.zeros_like(large), where=large > 0)[:, None]
 
 
-def changes(normals: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Change of the normals [H, W, 3] (0 outside the object) over one pixel, to the right and down, each [H, W, 3].
+def spreads(normals: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Covariance [H, W, 3, 3] (rad²) of the normals below each pixel, from their map [H, W, 3] (0 outside the object)."""
+    near, far = (_scatter(normals, lag) for lag in (1, 2))
+    size, beyond = (np.trace(scatter, axis1=2, axis2=3) for scatter in (near, far))
+    ratio = np.divide(beyond, size, out=np.full_like(size, 4.0), where=(size > 0) & (beyond > 0))
+    return (NEAR + FAR * np.minimum(ratio, 4.0))[..., None, None] * near  # 4: smooth; above it the surface only bends
 
-    Central differences where both neighbours are of the same surface, one-sided where one is, 0 where none is.
-    """
-    found = []
-    for axis in (1, 0):
-        inside = np.linalg.norm(normals, axis=-1) > 0.5
-        total, count = np.zeros_like(normals), np.zeros(inside.shape)
-        ahead = np.roll(normals, -1, axis)
-        fine = inside & np.roll(inside, -1, axis) & (np.sum(ahead * normals, -1) > EDGE)
-        edge: list[slice | int] = [slice(None), slice(None)]
-        edge[axis] = -1  # the last has no next one
-        fine[tuple(edge)] = False
-        step = np.where(fine[..., None], ahead - normals, 0.0)
-        total += step + np.roll(step, 1, axis)  # the last step is 0: nothing wraps around
-        count += fine.astype(float) + np.roll(fine, 1, axis)
-        found.append(total / np.maximum(count, 1.0)[..., None])
-    return found[0], found[1]
+
+def _scatter(normals: NDArray[np.float64], lag: int) -> NDArray[np.float64]:
+    """Sum over both axes of the mean outer square of the differences to the neighbours `lag` pixels away [H, W, 3, 3]."""
+    total = np.zeros((*normals.shape, 3))
+    inside = np.linalg.norm(normals, axis=-1) > 0.5
+    for axis in (0, 1):
+        length = normals.shape[axis]
+        if length <= lag:
+            continue
+        a, b = (np.moveaxis(normals, axis, 0)[part] for part in (slice(lag, None), slice(None, -lag)))
+        within = np.moveaxis(inside, axis, 0)
+        fine = within[lag:] & within[:-lag] & (np.sum(a * b, -1) > EDGE)
+        step = np.where(fine[..., None], a - b, 0.0)
+        square = step[..., :, None] * step[..., None, :]
+        part, count = np.zeros((length, *square.shape[1:])), np.zeros(within.shape)
+        for place in (slice(lag, None), slice(None, -lag)):
+            part[place] += square
+            count[place] += fine
+        total += np.moveaxis(part / np.maximum(count, 1.0)[..., None, None], 0, axis)
+    return total
 
 
 def with_neighbours(
     bands: Iterable[tuple[Band, NDArray[np.float64]]], width: int
 ) -> Iterator[tuple[Band, NDArray[np.float64]]]:
-    """The bands (pixels [P] of a frame `width` wide, rows [P, WIDTH]) with the widths of the surface, each one band late.
+    """The bands (pixels [P] of a frame `width` wide, rows [P, WIDTH]) with the widths of the surface, each a little late.
 
     Rows of the bands above and below give the edges their neighbours: the result does not depend on the bands' size.
     """
-    normal = columns()["normal"]
-    above, waiting = np.zeros((1, width, 3)), None
+    waiting: list[tuple[Band, NDArray[np.float64]]] = []
+    known = _Rows(width)
     for band, rows in bands:
-        image = np.zeros((band.bottom - band.top, width, 3))
-        image.reshape(-1, 3)[band.pixels - band.top * width] = rows[:, normal]
-        if waiting is not None:
-            yield _finish(*waiting, above, image[:1] if waiting[0].bottom == band.top else np.zeros_like(above))
-            above = waiting[2][-1:] if waiting[0].bottom == band.top else np.zeros_like(above)
-        waiting = (band, rows, image)
-    if waiting is not None:
-        yield _finish(*waiting, above, np.zeros_like(above))
+        known.add(band, rows[:, columns()["normal"]])
+        waiting.append((band, rows))
+        while waiting and waiting[0][0].bottom + CONTEXT <= band.bottom:
+            yield _finish(*waiting.pop(0), known)
+    for band, rows in waiting:
+        yield _finish(band, rows, known)
 
 
-def _finish(
-    band: Band, rows: NDArray[np.float64], image: NDArray[np.float64], above: NDArray[np.float64], below: NDArray[np.float64]
-) -> tuple[Band, NDArray[np.float64]]:
-    across, down = changes(np.concatenate([above, image, below]))
-    places = band.pixels + (1 - band.top) * image.shape[1]
-    surface_widths(rows, across.reshape(-1, 3)[places], down.reshape(-1, 3)[places])
+class _Rows:
+    """The last rows of the normal map, 0 where nothing is known."""
+
+    def __init__(self, width: int) -> None:
+        self.top, self.image = 0, np.zeros((0, width, 3))
+
+    def add(self, band: Band, normals: NDArray[np.float64]) -> None:
+        """Append a band's normals [P, 3]; `bottom` rows above it that no pixel fills stay 0."""
+        width = self.image.shape[1]
+        rows = np.zeros((band.bottom - self.top - len(self.image), width, 3))
+        rows.reshape(-1, 3)[band.pixels - (self.top + len(self.image)) * width] = normals
+        self.image = np.concatenate([self.image, rows])
+
+    def between(self, top: int, bottom: int) -> NDArray[np.float64]:
+        """Rows [top, bottom), and forget those above."""
+        self.image, self.top = self.image[max(top - self.top, 0) :], max(top, self.top)
+        out = np.zeros((bottom - top, *self.image.shape[1:]))
+        part = self.image[: bottom - self.top]
+        out[self.top - top : self.top - top + len(part)] = part
+        return out
+
+
+def _finish(band: Band, rows: NDArray[np.float64], known: _Rows) -> tuple[Band, NDArray[np.float64]]:
+    top, bottom = band.top - CONTEXT, band.bottom + CONTEXT
+    spread = spreads(known.between(top, bottom))
+    width = spread.shape[1]
+    surface_widths(rows, spread.reshape(-1, 3, 3)[band.pixels - top * width])
     return band, rows

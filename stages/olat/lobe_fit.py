@@ -24,6 +24,7 @@ ABSOLUTE = 0.02  # of the brightest sample: the same for dim samples
 ROUND = 0.03  # anisotropy below which a lobe counts as round
 DISAGREE = math.cos(math.radians(3.0))  # of n_s and n_d: further apart, n_d is tried as a start
 MIXED_MISFIT = 0.05**2  # of the samples' square norm: a lobe that misses more may be several
+NOISE_SLACK = 1.25  # of the noise expected in the misfit: three standard deviations for 350 lights
 UNSURE = 0.1**2  # of the weighted square norm: a lobe or a mixture that misses more has no tangent
 ROUND_STEPS = 3  # Levenberg-Marquardt steps between two reweightings
 
@@ -83,7 +84,7 @@ def fit_lobe(
     large, small, angle = widths(shape)
     miss, data = _misfit(g, kind(rho[0]), light, floor, use)
     order = 1.0
-    if settings.mixed > 0 and prior >= 0 and miss > MIXED_MISFIT * data + 2 * light.size * noise * noise:
+    if settings.mixed > 0 and prior >= 0 and miss > MIXED_MISFIT * data + NOISE_SLACK * light.size * noise * noise:
         x = np.empty(3 + DIRECTIONS)
         copy2(frame, frame2)
         cost = reweight(g, kind(rho[0]), light, use, absolute, RELATIVE, weight)
@@ -124,7 +125,8 @@ def _misfit(g, rho, light, floor, use):
 def round_start(light, use, level, area, half, cosine, frame, shape):
     """A round lobe's width from the second moments about the frame's normal."""
     start_shape(light, use, level, area, half, cosine, frame, shape)
-    shape[0] = shape[1] = 0.5 * (shape[0] + shape[1])
+    large, small, _ = widths(shape)  # their squares add up to the moment's trace: one sample alone has no second direction
+    shape[0] = shape[1] = -0.5 * math.log(0.5 * (large * large + small * small))
     shape[2] = 0.0
 
 

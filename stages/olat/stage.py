@@ -111,7 +111,7 @@ def run(stage: StageRun) -> None:
 
 STAGE = Stage(
     name="olat",
-    version=2,
+    version=3,
     parameters=OlatParameters,
     needs=("decode", "masks"),
     needed=needed,

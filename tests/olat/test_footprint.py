@@ -3,9 +3,10 @@
 from itertools import pairwise
 
 import numpy as np
+import pytest
 
 from stages.olat.columns import WIDTH, columns
-from stages.olat.footprint import changes, surface_widths, with_neighbours
+from stages.olat.footprint import spreads, surface_widths, with_neighbours
 from stages.olat.frames import Band
 
 AT = columns()
@@ -35,8 +36,7 @@ def test_the_spread_across_a_cylinder_widens_only_its_own_axis():
     true = np.array([0.3, 0.1])
     rows = rows_of(normals, (0.3, 0.1))  # the larger width lies along x, around the cylinder
     rows[:, AT["sigma"]] = np.sqrt(true**2 + np.array([per_pixel**2 / 6, 0]))  # twice the variance of a uniform spread
-    across, down = changes(normals)
-    surface_widths(rows, across.reshape(-1, 3), down.reshape(-1, 3))
+    surface_widths(rows, spreads(normals).reshape(-1, 3, 3))
     inner = rows.reshape(10, 40, -1)[:, 1:-1]
     assert np.allclose(inner[..., AT["sigma"]], true, rtol=1e-3)
     assert np.allclose(inner[..., AT["anisotropy"]], 0.5, atol=1e-3)
@@ -46,8 +46,7 @@ def test_a_spread_larger_than_the_lobe_leaves_half_its_width():
     normals = ball(12)
     rows = rows_of(normals, (0.05, 0.05))
     inside = normals.any(-1)
-    across, down = changes(normals)
-    surface_widths(rows, across[inside], down[inside])
+    surface_widths(rows, spreads(normals)[inside])
     assert np.all(rows[:, AT["sigma"]] >= 0.0249) and np.all(rows[:, AT["sigma"]] < 0.05)
 
 
@@ -71,5 +70,22 @@ def test_bands_do_not_change_the_widths():
 def test_an_edge_between_surfaces_is_no_spread():
     normals = np.zeros((4, 6, 3))
     normals[:, :3, 2], normals[:, 3:, 0] = 1, 1
-    across, down = changes(normals)
-    assert not across.any() and not down.any()
+    assert not spreads(normals).any()
+
+
+@pytest.mark.parametrize("frequency", [0.03, 0.15, 0.25, 0.3])
+def test_the_spread_below_a_pixel_is_told_from_the_neighbours(frequency):
+    """Waves of `frequency` (cycles a pixel) in all directions, 8 x 8 samples a pixel."""
+    rng = np.random.default_rng(0)
+    fine, count = 8, 40
+    y, x = (np.mgrid[: 40 * fine, : 40 * fine] + 0.5) / fine
+    slopes = np.zeros((2, *x.shape))
+    for angle, phase in rng.uniform(0, 2 * np.pi, (count, 2)):
+        wave = np.cos(2 * np.pi * frequency * (np.cos(angle) * x + np.sin(angle) * y) + phase)
+        slopes += 0.1 / np.sqrt(count) * np.array([np.cos(angle), np.sin(angle)])[:, None, None] * wave
+    normals = np.stack([slopes[0], slopes[1], np.sqrt(1 - slopes[0] ** 2 - slopes[1] ** 2)], -1)
+    blocks = normals.reshape(40, fine, 40, fine, 3).swapaxes(1, 2).reshape(40, 40, -1, 3)
+    true = blocks[..., :2].var(2).sum(-1)
+    mean = blocks.mean(2)
+    found = np.trace(spreads(mean / np.linalg.norm(mean, axis=-1, keepdims=True)), axis1=2, axis2=3)
+    assert found[2:-2, 2:-2].mean() == pytest.approx(true[2:-2, 2:-2].mean(), rel=0.15)
