@@ -1,4 +1,7 @@
-"""`python -m synth OUTPUT`: the tiny synthetic captures, OUTPUT/views and OUTPUT/stage."""
+"""`python -m synth OUTPUT`: the tiny synthetic captures, OUTPUT/views and OUTPUT/stage.
+
+With `--only anisotropic`: light stages of strongly anisotropic surfaces, OUTPUT/brushed, OUTPUT/rubble and one a `--mesh`.
+"""
 
 from __future__ import annotations
 
@@ -11,8 +14,10 @@ from pathlib import Path
 
 from pipeline.errors import UserError
 
+LIGHTS, LIGHTS_ANISOTROPIC = 60, 346
 
-def build(folder: Path, make, force: bool, **options: int) -> None:
+
+def build(folder: Path, make, force: bool, **options: object) -> None:
     """Make one capture beside its place and move it there whole; leave a finished one alone."""
     if folder.exists() and not force:
         print(f"{folder} is there already (--force makes it again)")
@@ -28,16 +33,20 @@ def build(folder: Path, make, force: bool, **options: int) -> None:
 
 def main() -> int:
     """Parse, render, report; 2 on a user's mistake."""
-    parser = argparse.ArgumentParser(prog="python -m synth", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m synth", description=__doc__.splitlines()[0])
     parser.add_argument("output", type=Path, help="folder that receives views/ and stage/")
     parser.add_argument("--size", type=int, default=96, help="image width and height (px)")
     parser.add_argument("--views", type=int, default=16, help="number of views")
-    parser.add_argument("--lights", type=int, default=60, help="number of lights of the stage")
+    parser.add_argument("--lights", type=int, help="number of lights of a stage (60; 346 for the anisotropic ones)")
     parser.add_argument("--spp", type=int, default=144, help="samples a pixel of the views")
     parser.add_argument("--seed", type=int, default=0, help="seed of all sampling")
-    parser.add_argument("--only", choices=("views", "stage"), help="make only one of the two")
+    parser.add_argument(
+        "--only", choices=("views", "stage", "anisotropic"), help="make only one of the two, or the harder stages"
+    )
+    parser.add_argument("--mesh", type=Path, nargs="*", default=[], help="meshes for more anisotropic stages")
     parser.add_argument("--force", action="store_true", help="make again what is there")
     a = parser.parse_args()
+    a.lights = a.lights or (LIGHTS_ANISOTROPIC if a.only == "anisotropic" else LIGHTS)
     try:
         from . import lightstage, views
 
@@ -48,6 +57,13 @@ def main() -> int:
             raise UserError("mitsuba", f"cannot be imported ({error})", remedy) from error
         if a.size < 16 or a.views < 1 or a.lights < 4 or a.spp < 1:
             raise UserError("--size, --views, --lights, --spp", "too small", "at least 16, 1, 4, 1")
+        if a.only == "anisotropic":
+            from . import anisotropic
+
+            for name in anisotropic.scenes(a.mesh):
+                options = {"name": name, "meshes": a.mesh, "size": a.size, "lights": a.lights, "seed": a.seed}
+                build(a.output / name, anisotropic.build, a.force, **options)
+            return 0
         if a.only != "stage":
             build(a.output / "views", views.make, a.force, size=a.size, views=a.views, spp=a.spp, seed=a.seed)
         if a.only != "views":

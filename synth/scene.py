@@ -14,18 +14,19 @@ MITSUBA_FROM_OPENGL = np.diag([-1.0, 1.0, -1.0, 1.0])
 GEOMETRY_SPP = 16  # samples a pixel of normals, depths and albedos, which carry no Monte Carlo noise
 
 
-def load_mesh(shape: Shape, bsdf: dict[str, Any]) -> Any:
-    """A Mitsuba mesh with the shape's own normals and texture coordinates."""
+def load_mesh(shape: Shape, bsdf: dict[str, Any], textured: bool = True) -> Any:
+    """A Mitsuba mesh with the shape's own normals and, where `textured`, texture coordinates."""
     import mitsuba as mi
 
     properties = mi.Properties()
     properties["bsdf"] = mi.load_dict(bsdf)
     size = len(shape.vertices), len(shape.faces)
-    mesh = mi.Mesh("object", *size, has_vertex_normals=True, has_vertex_texcoords=True, props=properties)
+    mesh = mi.Mesh("object", *size, has_vertex_normals=True, has_vertex_texcoords=textured, props=properties)
     params = mi.traverse(mesh)
     params["vertex_positions"] = shape.vertices.astype(np.float32).ravel()
     params["vertex_normals"] = shape.normals.astype(np.float32).ravel()
-    params["vertex_texcoords"] = shape.uv.astype(np.float32).ravel()
+    if textured:
+        params["vertex_texcoords"] = shape.uv.astype(np.float32).ravel()
     params["faces"] = shape.faces.astype(np.uint32).ravel()
     params.update()
     return mesh
