@@ -253,9 +253,9 @@ def _specular(n, w, o, area, settings, n_d, solved, top_d, room, out):
         flag = SATURATED
     if whole * whole < EFFECTIVE_LIGHTS * squares:  # too narrow for the rig, or all but hidden: half vectors, moments, no fit
         flag = TOO_FEW if flag == GOOD else flag
-        round_start(light, use, LOBE_FRACTION * top, areas, half, cosine, frame, shape)
         if solved and clipped == 0 and samples < EFFECTIVE_LIGHTS:
             frame_about(n_d[0], n_d[1], n_d[2], frame)
+        round_start(light, use, LOBE_FRACTION * top, areas, half, cosine, frame, shape)  # about the normal that is kept
         values(settings.lobe, frame, shape, o, half, incident, g)
         for j in range(n):
             weight[j] = use[j]

@@ -67,6 +67,13 @@ def test_a_mirror_between_the_lights_is_flagged_not_fitted():
     assert np.median(angle_deg(rows[:, AT["diffuse_normal"]], p.normal)) < 0.01  # the diffuse side is sound
 
 
+@pytest.mark.parametrize("sigma", [0.01, 0.05])
+def test_a_highlight_that_one_light_shows_has_no_larger_albedo_than_the_surface(sigma):
+    p = make(300, sigma=(sigma, sigma), seed=2)  # the light lies beside the lobe: exp(-tan²/sigma²) there would divide by 1e-30
+    albedo = run(p)[:, AT["specular_albedo"]][:, 0]
+    assert albedo.max() < 1.5 * p.specular.max()
+
+
 def test_no_specular_light_is_no_lobe_and_the_diffuse_normal_stands_in():
     p = make(20, seed=3)
     p.parallel[:] = p.cross
