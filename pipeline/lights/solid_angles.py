@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 CAP_OVER_MEDIAN = 1.25  # times the typical cell's reach; LSX3's regular cells reach 1.07, those at its hole 4.0
 AZIMUTHS = 360  # directions in which a cell's border is measured: areas to 1e-4 of themselves
+BLOCK = 256  # lights whose cells are measured at a time
 NEIGHBOURS = 32  # lights that are tried first as a cell's neighbours; most cells have six
 
 
@@ -17,7 +18,7 @@ def solid_angles(directions: NDArray[np.float64], cap: bool = True) -> NDArray[n
     hole of the rig, or the rim of a dome) count only up to there. Lights in one direction share their cell.
     """
     unique, inverse, count = np.unique(np.round(directions, 9), axis=0, return_inverse=True, return_counts=True)
-    border = np.stack([_border(unique, k) for k in range(len(unique))])
+    border = np.concatenate([_borders(unique, k, k + BLOCK) for k in range(0, len(unique), BLOCK)])
     share = 4 * np.pi / (2 * np.pi * np.mean(1 - border, 1)).sum()  # the cells fill the sphere
     if cap and len(unique) > 3:
         border = np.maximum(border, np.cos(CAP_OVER_MEDIAN * np.median(np.arccos(border.min(1)))))
@@ -25,27 +26,29 @@ def solid_angles(directions: NDArray[np.float64], cap: bool = True) -> NDArray[n
     return (areas / count)[inverse.ravel()]
 
 
-def _border(points: NDArray[np.float64], k: int) -> NDArray[np.float64]:
-    """Cosine of the angle from points[k] to the border of its cell, in `AZIMUTHS` directions about it.
+def _borders(points: NDArray[np.float64], first: int, last: int) -> NDArray[np.float64]:
+    """Cosine of the angle from points[first:last] to the border of their cells, in `AZIMUTHS` directions about each.
 
     Along the great circle at azimuth e the cell ends at the first bisector: cot r = max over the other points p_j of
-    e·t_j / (1 - p_j·p_k), t_j their part across p_k. A negative one lies beyond 90 degrees.
+    e·t_j / (1 - p_j·p), t_j their part across the cell's p. A negative one lies beyond 90 degrees.
     """
-    centre = points[k]
-    across = np.cross(centre, np.eye(3)[np.argmin(np.abs(centre))])
-    across /= np.linalg.norm(across)
-    frame = np.stack([across, np.cross(centre, across)])
-    others = np.delete(points, k, 0)
-    if not len(others):
-        return np.full(AZIMUTHS, -1.0)
-    gap = 0.5 * np.sum((others - centre) ** 2, 1)  # 1 - cosine, without its cancellation
-    pull = others @ frame.T / gap[:, None]
-    strength = np.hypot(*pull.T)
+    if len(points) < 2:
+        return np.full((len(points), AZIMUTHS), -1.0)
+    centre = points[first:last, None]
+    across = np.cross(centre, np.eye(3)[np.argmin(np.abs(centre), -1)])
+    across /= np.linalg.norm(across, axis=-1, keepdims=True)
+    gap = 0.5 * np.sum((points - centre) ** 2, -1)  # 1 - cosine, without its cancellation
+    own = np.arange(len(centre)), np.arange(first, first + len(centre))
+    gap[own] = np.inf
+    pull = np.stack([np.sum(points * axis, -1) / gap for axis in (across, np.cross(centre, across))], -1)
+    strength = np.hypot(pull[..., 0], pull[..., 1])
     angle = (np.arange(AZIMUTHS) + 0.5) * (2 * np.pi / AZIMUTHS)
     azimuths = np.stack([np.cos(angle), np.sin(angle)])
-    cotangent = np.max(pull[np.argsort(-strength)[:NEIGHBOURS]] @ azimuths, 0)
-    if np.count_nonzero(strength > cotangent.min()) > NEIGHBOURS:  # the border may lie beyond the nearest
-        cotangent = np.max(pull @ azimuths, 0)
+    nearest = np.argsort(-strength, axis=1)[:, : min(NEIGHBOURS, len(points) - 1)]
+    cotangent = np.max(np.take_along_axis(pull, nearest[..., None], 1) @ azimuths, 1)
+    beyond = np.count_nonzero(strength > cotangent.min(1)[:, None], 1) > nearest.shape[1]
+    for k in np.flatnonzero(beyond):  # the border may lie beyond the nearest
+        cotangent[k] = np.max(np.delete(pull[k], first + k, 0) @ azimuths, 0)
     return cotangent / np.sqrt(1 + cotangent**2)
 
 
