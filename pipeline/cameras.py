@@ -120,6 +120,7 @@ def opengl_from_camera(world_to_camera: np.ndarray) -> np.ndarray:
     return np.linalg.inv(world_to_camera) @ OPENGL_FROM_OPENCV
 
 
+ROTATION_TOLERANCE = 0.01  # of R Rᵀ - 1: files that round to three digits pass, a scale of one percent does not
 _INTRINSICS = ("fl_x", "fl_y", "cx", "cy", "w", "h", "k1", "k2", "p1", "p2")
 
 
@@ -149,6 +150,12 @@ def camera_from_frame(frame: Mapping, shared: Mapping, path: Path) -> Camera:
     matrix = np.asarray(frame["transform_matrix"], float)
     if matrix.shape not in ((4, 4), (3, 4)) or not np.isfinite(matrix).all():
         raise UserError(path, f"frame {frame.get('file_path', '?')}: transform_matrix is not a finite 4x4", "mend it")
+    turn = matrix[:3, :3]
+    if np.abs(turn @ turn.T - np.eye(3)).max() > ROTATION_TOLERANCE or np.linalg.det(turn) < 0:
+        fault = f"frame {frame.get('file_path', '?')}: the 3x3 part of transform_matrix is not a rotation"
+        raise UserError(path, fault, "take scale and mirroring out of it")
+    if not (float(get["fl_x"]) > 0 and float(get["fl_y"]) > 0 and int(get["w"]) > 0 and int(get["h"]) > 0):
+        raise UserError(path, f"frame {frame.get('file_path', '?')}: fl_x, fl_y, w and h must be above 0", "mend them")
     distortion = tuple(float(get[k] or 0.0) for k in ("k1", "k2", "p1", "p2"))
     return Camera(
         width=int(get["w"]),

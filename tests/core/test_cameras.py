@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
+import pytest
 
 from pipeline.cameras import Camera, camera_from_opengl, load_cameras, opengl_from_camera, save_cameras
+from pipeline.errors import UserError
 
 
 def looking_at_origin(roll_deg: float = 0.0) -> Camera:
@@ -32,6 +36,26 @@ def test_opengl_matrices_round_trip_and_files_keep_cameras(tmp_path):
     back = load_cameras(tmp_path / "cameras.json")["view"]
     np.testing.assert_allclose(back.world_to_camera, camera.world_to_camera, atol=1e-12)
     assert back.name == "lp0" and back.intrinsics.tolist() == camera.intrinsics.tolist()
+
+
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [
+        (lambda f: f.update(fl_x=-5.0), "above 0"),
+        (lambda f: f.update(transform_matrix=np.zeros((4, 4)).tolist()), "rotation"),
+        (lambda f: f.update(transform_matrix=(2 * np.eye(4)).tolist()), "rotation"),
+        (lambda f: f.update(transform_matrix=np.diag([1.0, 1, -1, 1]).tolist()), "rotation"),
+        (lambda f: f["transform_matrix"][0].__setitem__(3, float("nan")), "finite"),
+    ],
+)
+def test_a_camera_that_can_be_none_is_refused_by_frame(tmp_path, change, word):
+    path = tmp_path / "cameras.json"
+    save_cameras(path, {"view7": looking_at_origin()})
+    table = json.loads(path.read_text())
+    change(table["frames"][0])
+    path.write_text(json.dumps(table))
+    with pytest.raises(UserError, match=f"view7.*{word}"):
+        load_cameras(path)
 
 
 def test_the_stokes_frame_is_right_and_up_across_each_ray_and_turns_with_the_camera():
