@@ -18,6 +18,7 @@ import shutil
 import sys
 import tempfile
 import time
+from collections import defaultdict
 from collections.abc import Callable, Iterable
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from multiprocessing import get_context
@@ -80,18 +81,15 @@ def write_kinds(root: Path, stokes: np.ndarray, frames: int) -> dict[str, Path]:
     """One capture folder per kind of frame."""
     import tifffile
 
-    height, width = stokes.shape[:2]
-    rows = polariser_design(ORDER).reshape(2, 2, 3)
-    mosaic = np.empty((height, width), np.float32)
-    for j in range(2):
-        for i in range(2):
-            mosaic[j::2, i::2] = stokes[j::2, i::2].mean(-1) @ rows[j, i]
-    codes = np.round(np.clip(mosaic, 0, 1) * 65535).astype(np.uint16)
-    kinds = {kind: root / kind for kind in ("stokes_exr", "mosaic_tiff", "stack_tiff")}
+    kinds = {kind: root / kind for kind in ("stokes_exr", "mosaic_tiff", "quad_bayer_tiff", "stack_tiff")}
     for k in range(frames):
         write_stokes(kinds["stokes_exr"] / "images" / f"{k}.exr", stokes, half=True)
-        (kinds["mosaic_tiff"] / "images").mkdir(parents=True, exist_ok=True)
-        tifffile.imwrite(kinds["mosaic_tiff"] / "images" / f"{k}.tif", codes, photometric="minisblack")
+    for kind, colour in (("mosaic_tiff", "mono"), ("quad_bayer_tiff", "bayer")):
+        codes = np.round(np.clip(mosaic_of(stokes, colour), 0, 1) * 65535).astype(np.uint16)
+        (kinds[kind] / "images").mkdir(parents=True, exist_ok=True)
+        (kinds[kind] / "capture.toml").write_text(f'[mosaic]\ncolour = "{colour}"\n')
+        for k in range(frames):
+            tifffile.imwrite(kinds[kind] / "images" / f"{k}.tif", codes, photometric="minisblack")
     for k in range(max(2, frames // 2)):
         (kinds["stack_tiff"] / "images").mkdir(parents=True, exist_ok=True)
         for angle in (0, 45, 90, 135):
@@ -203,30 +201,34 @@ def dolp(stokes: np.ndarray) -> np.ndarray:
 
 
 def errors(captures: Path) -> dict[str, dict[str, float]]:
-    """RMS error of DoLP inside the mask and run time per megapixel of each method."""
-    samples = []
+    """RMS error of DoLP inside the mask, pooled and by capture, and run time per megapixel of each method."""
+    samples: list[tuple[str, np.ndarray, np.ndarray]] = []
     for name in ("teapot-lebombo", "spot-venice"):
         capture = open_capture(captures / name)
         masks = capture.masks if isinstance(capture.masks, dict) else {}
-        samples += [(read_stokes(v.paths[0]), read_mask(masks[v.view])) for v in capture.views[::6]]
+        samples += [(name, read_stokes(v.paths[0]), read_mask(masks[v.view])) for v in capture.views[::6]]
     out: dict[str, dict[str, float]] = {}
 
     def score(method: str, make, solve, truth_of) -> None:
-        squared, count, seconds, pixels = 0.0, 0, 0.0, 0
-        for stokes, mask in samples:
+        squared: dict[str, float] = defaultdict(float)
+        count: dict[str, int] = defaultdict(int)
+        seconds, pixels = 0.0, 0
+        for name, stokes, mask in samples:
             truth, measured = truth_of(stokes), make(stokes)
             found = solve(measured)  # compiled and cached before it is timed
             start = time.process_time()  # the frames are small: one thread, and no other process counts
             solve(measured)
             seconds += time.process_time() - start
             lit = mask & (truth[:, :, 0].min(-1) > 0.005)
-            squared += float(((dolp(found) - dolp(truth))[lit] ** 2).sum())
-            count += int(lit.sum()) * 3
+            squared[name] += float(((dolp(found) - dolp(truth))[lit] ** 2).sum())
+            count[name] += int(lit.sum()) * 3
             pixels += mask.size
-        out[method] = {"dolp_rmse": float(np.sqrt(squared / count)), "s_per_mpx": seconds / pixels * 1e6}
+        pooled = float(np.sqrt(sum(squared.values()) / sum(count.values())))
+        out[method] = {"dolp_rmse": pooled, "s_per_mpx": seconds / pixels * 1e6}
+        out[method] |= {f"dolp_rmse {name}": float(np.sqrt(squared[name] / count[name])) for name in squared}
 
     for colour in ("mono", "bayer"):
-        for method in ("bilinear", "residual"):
+        for method in ("bilinear", "carriers"):
             score(
                 f"mosaic {colour} {method}",
                 lambda s, c=colour: mosaic_of(s, c),

@@ -100,10 +100,13 @@ def read_stokes(path: str | Path) -> np.ndarray:
     return pixels.reshape(*pixels.shape[:2], 3, 3)
 
 
-def write_stokes(path: str | Path, stokes: np.ndarray, half: bool = False) -> None:
-    """Write a Stokes image [H, W, 3 (s0 s1 s2), 3 (R G B)] with channels S0.R .. S2.B."""
+def write_stokes(path: str | Path, stokes: np.ndarray, half: bool = False, peak: float | None = None) -> None:
+    """Write a Stokes image [H, W, 3 (s0 s1 s2), 3 (R G B)] with channels S0.R .. S2.B.
+
+    `peak`: its largest magnitude, where known, spares looking for values that halves cannot hold.
+    """
     flat = np.ascontiguousarray(stokes, np.float32).reshape(*stokes.shape[:2], 9)
-    half = half and _fits_half(flat)
+    half = half and (_fits_half(flat) if peak is None else peak <= HALF_MAX)
     _write(Path(path), flat, "half" if half else "float", list(STOKES), {"compression": EXR_COMPRESSION})
 
 

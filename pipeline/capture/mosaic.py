@@ -44,7 +44,7 @@ def demosaic(
     if height % block or width % block:
         raise ValueError(f"a mosaic of {width}x{height} does not consist of whole {block}x{block} blocks")
     halo = HALO[colour]
-    padded = _mirror_blocks(mosaic, halo, block)
+    rows, columns = (_mirrored(n, halo, block) for n in mosaic.shape)
     colours = bayer if colour == "bayer" else ""
     bilinear = method == "bilinear" or not carries(order)
     out = frame_array((height, width, 3, 3))
@@ -52,7 +52,10 @@ def demosaic(
     def tile(corner: tuple[int, int]) -> None:
         top, left = corner
         bottom, right = min(top + ROWS, height), min(left + COLUMNS, width)
-        samples = np.ascontiguousarray(padded[top : bottom + 2 * halo, left : right + 2 * halo], np.float32)
+        within = halo <= top and bottom + halo <= height and halo <= left and right + halo <= width
+        around = np.ix_(rows[top : bottom + 2 * halo], columns[left : right + 2 * halo])
+        samples = mosaic[top - halo : bottom + halo, left - halo : right + halo] if within else mosaic[around]
+        samples = np.ascontiguousarray(samples, np.float32)
         part = out[top:bottom, left:right]
         if bilinear:
             for c, plane in enumerate(_colour_planes(samples, bayer) if colours else [samples]):
@@ -67,19 +70,15 @@ def demosaic(
     return out
 
 
-def _mirror_blocks(mosaic: Plane, halo: int, block: int) -> Plane:
-    """Mirrored in whole blocks at the borders, so that the pattern goes on."""
-    height, width = mosaic.shape
-
-    def index(n: int) -> NDArray[Any]:
-        blocks = np.arange(-halo // block, (n + halo) // block)
-        count = n // block
-        folded = np.abs((blocks + count) % (2 * count) - count) if count > 1 else np.zeros_like(blocks)
-        folded = np.where(blocks < 0, -blocks - 1, np.where(blocks >= count, 2 * count - 1 - blocks, folded))
-        folded = np.clip(np.where((blocks >= 0) & (blocks < count), blocks, folded), 0, count - 1)
-        return (folded[:, None] * block + np.arange(block)).ravel()
-
-    return np.ascontiguousarray(mosaic[index(height)][:, index(width)])
+def _mirrored(n: int, halo: int, block: int) -> NDArray[np.int64]:
+    """Where the samples -halo .. n + halo of a line of n are found: mirrored in whole blocks, so that the pattern goes on."""
+    blocks = np.arange(-halo // block, (n + halo) // block)
+    count = n // block
+    folded = np.abs((blocks + count) % (2 * count) - count) if count > 1 else np.zeros_like(blocks)
+    folded = np.where(blocks < 0, -blocks - 1, np.where(blocks >= count, 2 * count - 1 - blocks, folded))
+    folded = np.clip(np.where((blocks >= 0) & (blocks < count), blocks, folded), 0, count - 1)
+    where: NDArray[np.int64] = (folded[:, None] * block + np.arange(block)).ravel()
+    return where
 
 
 def _tent(image: Plane) -> Plane:

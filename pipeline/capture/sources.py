@@ -18,7 +18,7 @@ from pipeline.capture.model import DecodedView, ViewSource
 from pipeline.capture.mosaic_order import order_fault
 from pipeline.capture.mosaic_signs import is_mosaic, mosaic_colour, read_mosaic
 from pipeline.capture.stack import design_covariance, polariser_design
-from pipeline.capture.stokes_files import finished, holds_stokes, is_verbatim, stokes_exr_loader
+from pipeline.capture.stokes_files import finished, holds_stokes, is_verbatim, mended, stokes_exr_loader
 from pipeline.errors import UserError
 from pipeline.images import channel_names, image_size
 
@@ -152,6 +152,7 @@ def _mosaic_loader(group: Group, config: CaptureConfig, colour: str) -> Callable
 
         path = group.paths[0]
         image = read_mosaic(group, config)
+        image.saturated, faults = mended(image.pixels, image.saturated, path)  # a hole would spread over its windows
         samples = image.pixels[..., 0]
         block = 4 if colour == "bayer" else 2
         if samples.shape[0] % block or samples.shape[1] % block:
@@ -173,7 +174,8 @@ def _mosaic_loader(group: Group, config: CaptureConfig, colour: str) -> Callable
         fault = order_fault(samples, config.mosaic.order)
         if fault:
             view.faults[fault] = 0
-        return finished(view, path, image)
+        view.faults |= faults
+        return finished(view, path, image, whole=True)
 
     return load
 

@@ -67,7 +67,7 @@ def read_stack(group: Group, config: CaptureConfig, told: PolariserConfig | None
             view.moved = largest_shift(group, config)
     if holes:
         view.faults["not finite: left out of the fit"] = holes
-    return finished(view, group.paths[0], angles[0].image)
+    return finished(view, group.paths[0], angles[0].image, whole=True)
 
 
 def _solve(

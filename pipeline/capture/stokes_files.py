@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,16 +61,26 @@ def is_verbatim(view: DecodedView, image: LinearImage, path: Path, names: tuple[
     )
 
 
-def finished(view: DecodedView, path: Path, image: LinearImage | None = None) -> DecodedView:
-    """Fill what is not finite (marking it saturated), and name what a user should know of this file."""
-    pixels = view.stokes if view.stokes is not None else view.rgb
-    assert pixels is not None
+FILLED = "not finite: filled from the nearest pixel and marked as saturated"
+
+
+def mended(pixels: NDArray[np.float32], saturated: NDArray[np.bool_] | None, path: Path) -> tuple[Any, dict[str, int]]:
+    """Fill what is not finite of [H, W, ...] in place: (saturated with those pixels marked, the fault to tell)."""
     holes = fill_holes(pixels)
-    if holes is not None:
-        if holes.all():
-            raise UserError(path, "holds no finite pixel", "render or export it again")
-        view.faults["not finite: filled from the nearest pixel and marked as saturated"] = int(holes.sum())
-        view.saturated = holes if view.saturated is None else view.saturated | holes
+    if holes is None:
+        return saturated, {}
+    if holes.all():
+        raise UserError(path, "holds no finite pixel", "render or export it again")
+    return holes if saturated is None else saturated | holes, {FILLED: int(holes.sum())}
+
+
+def finished(view: DecodedView, path: Path, image: LinearImage | None = None, whole: bool = False) -> DecodedView:
+    """Fill what is not finite, unless its samples were `whole`, and name what a user should know of this file."""
+    if not whole:
+        pixels = view.stokes if view.stokes is not None else view.rgb
+        assert pixels is not None
+        view.saturated, faults = mended(pixels, view.saturated, path)
+        view.faults |= faults
     if image is not None and image.orientation != 1:
         view.faults[f"EXIF rotation {image.orientation} is not applied: frames stay as the sensor saw them"] = 0
     if image is not None and image.bits == 8:

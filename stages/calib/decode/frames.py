@@ -79,16 +79,16 @@ def _decode_one(source: ViewSource, stage: StageRun) -> tuple[str, FrameRecord]:
     record = FrameRecord({}, decoded.faults, pixels=height * width, moved=decoded.moved)
     saturated = _saturated(decoded, source)
     name = f"frames/{source.view}.exr"
-    half = _half(image, stage.parameters.precision)
     if decoded.stokes is not None:
-        if decoded.design is not None:
-            record.negative, record.impossible = make_physical(decoded.stokes)
-        else:
-            record.negative, record.impossible = count_unphysical(decoded.stokes)
+        survey = (make_physical if decoded.design is not None else count_unphysical)(decoded.stokes)
+        record.negative, record.impossible, peak = survey.negative, survey.impossible, survey.peak
+    else:
+        peak = float(image.max(initial=0.0))
+    half = _half(peak, stage.parameters.precision)
     if decoded.verbatim is not None and stage.parameters.precision == "auto":
         shutil.copyfile(decoded.verbatim, stage.output / name)
     elif decoded.stokes is not None:
-        write_stokes(stage.output / name, decoded.stokes, half=half)
+        write_stokes(stage.output / name, decoded.stokes, half=half, peak=peak)
     else:
         write_exr(stage.output / name, {c: image[..., i] for i, c in enumerate("RGB")}, half=half)
     facts = record.facts
@@ -108,10 +108,10 @@ def _decode_one(source: ViewSource, stage: StageRun) -> tuple[str, FrameRecord]:
     return source.view, record
 
 
-def _half(image: NDArray[np.float32], precision: str) -> bool:
+def _half(peak: float, precision: str) -> bool:
     if precision != "auto":
         return precision == "half"
-    return HALF_FAITHFUL <= float(image.max(initial=0.0)) <= HALF_MAX
+    return HALF_FAITHFUL <= peak <= HALF_MAX
 
 
 def _saturated(decoded: DecodedView, source: ViewSource) -> NDArray[np.bool_] | None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numba
 import numpy as np
 from numpy.typing import NDArray
@@ -9,14 +11,20 @@ from numpy.typing import NDArray
 
 @numba.njit(nogil=True, cache=True)
 def _survey(stokes: NDArray[np.float32], mend: bool) -> tuple[int, int, np.float32]:
-    """(pixels with a negative s0, pixels with |(s1, s2)| > s0, largest s0) of [H, W, 3, 3]; `mend` projects both in place."""
+    """(pixels with a negative s0, pixels with |(s1, s2)| > s0, largest magnitude) of [H, W, 3, 3].
+
+    `mend` projects both kinds in place; the magnitude is that of what is left.
+    """
     negative, impossible, top = 0, 0, np.float32(0)
     for y in range(stokes.shape[0]):
         for x in range(stokes.shape[1]):
             below, above = False, False
             for c in range(3):
                 s0, s1, s2 = stokes[y, x, 0, c], stokes[y, x, 1, c], stokes[y, x, 2, c]
-                top = max(top, s0)
+                if not mend:
+                    top = max(top, max(abs(s0), max(abs(s1), abs(s2))))
+                elif s0 > top:  # the others are no larger, once mended
+                    top = s0
                 if s0 < 0:
                     below = True
                     if mend:
@@ -32,13 +40,24 @@ def _survey(stokes: NDArray[np.float32], mend: bool) -> tuple[int, int, np.float
     return negative, impossible, top
 
 
-def count_unphysical(stokes: NDArray[np.float32]) -> tuple[int, int]:
-    """Pixels with a negative s0, and with more polarised light than light, in any colour of [H, W, 3, 3]."""
-    negative, impossible, _ = _survey(stokes, False)
-    return negative, impossible
+@dataclass(frozen=True)
+class Survey:
+    """Pixels with a negative s0, with more polarised light than light (in any colour), and the largest magnitude."""
+
+    negative: int
+    impossible: int
+    peak: float
 
 
-def make_physical(stokes: NDArray[np.float32]) -> tuple[int, int]:
-    """Solved Stokes vectors onto the cone of possible ones, in place: s0 >= 0, |(s1, s2)| <= s0. Returns both counts."""
-    negative, impossible, _ = _survey(stokes, True)
-    return negative, impossible
+def _as_survey(negative: int, impossible: int, peak: np.float32) -> Survey:
+    return Survey(negative, impossible, float(peak))
+
+
+def count_unphysical(stokes: NDArray[np.float32]) -> Survey:
+    """What [H, W, 3, 3] holds."""
+    return _as_survey(*_survey(stokes, False))
+
+
+def make_physical(stokes: NDArray[np.float32]) -> Survey:
+    """Solved Stokes vectors onto the cone of possible ones, in place: s0 >= 0, |(s1, s2)| <= s0. What was mended."""
+    return _as_survey(*_survey(stokes, True))
