@@ -13,6 +13,9 @@ from pipeline.progress import brief
 from pipeline.settings import Settings
 
 Kind = Literal["skip", "run", "done", "again", "switch", "resume"]
+WORDS: dict[Kind, str] = {
+    "skip": "skip", "run": "run", "done": "done", "again": "redo", "switch": "use", "resume": "resume",
+}  # fmt: skip
 NAMED = 2  # changed files that are named; more are counted
 
 
@@ -146,15 +149,14 @@ def _in_use(dataset: Dataset, stage: str) -> str | None:
 
 def plan_text(steps: Sequence[Step], found: Mapping[str, State]) -> str:
     """The plan for a person: one line a stage with its reason, below it how it stands and the passes."""
-    words = {"skip": "skip", "run": "run", "done": "done", "again": "redo", "switch": "use", "resume": "resume"}
     lines, below = [], " " * 19
     for step in steps:
         state = found[step.stage.name]
         text = standing(state)
         beside = f" [{text}]" if text and state.kind in ("done", "run") else ""
-        lines.append(f"  {words[state.kind]:6}  {step.stage.name:8}  {step.decision.reason}{beside}")
+        lines.append(f"  {WORDS[state.kind]:6}  {step.stage.name:8}  {step.decision.reason}{beside}")
         if text and not beside:
-            lines.append(f"{below}{words[state.kind]}: {text}")
+            lines.append(f"{below}{WORDS[state.kind]}: {text}")
         for name, choice in step.decision.passes.items():
             lines.append(f"{below}{'with' if choice.run else 'without'} {name}: {choice.reason}")
     return "\n".join(lines)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from pipeline.cameras import Camera
 from pipeline.capture import Capture
-from pipeline.changes import State, outlook, standing
+from pipeline.changes import WORDS, State, outlook, standing
 from pipeline.errors import UserError
 from pipeline.images import read_image, write_fault
 from pipeline.plan import Step, plan_as_json
@@ -40,7 +40,7 @@ def write_inspection(capture: Capture, steps: Sequence[Step], folder: Path, foun
     context = {
         "name": capture.root.name,
         "facts": _facts(capture),
-        "plan": [{"name": n, "passes": d.get("passes", {}), **d, "state": standing(found[n])} for n, d in plan.items()],
+        "plan": [{"name": n, "passes": d.get("passes", {}), **d, **_standing(found[n])} for n, d in plan.items()],
         "outlook": outlook(found),
         "views": shown,
         "scene": json.dumps(scene_of(capture)),
@@ -59,11 +59,15 @@ def write_inspection(capture: Capture, steps: Sequence[Step], folder: Path, foun
     return path
 
 
+def _standing(state: State) -> dict[str, str]:
+    return {"state": standing(state), "word": "left out" if state.kind == "skip" else WORDS[state.kind]}
+
+
 def _facts(capture: Capture) -> list[tuple[str, str]]:
     """What was recognised, as names and values."""
     words = {"stokes": "full linear Stokes vectors", "polarisers": "photographs behind polarisers", "none": "none"}
     polarised = "cross and parallel frames" if capture.light_stage is not None else words[capture.polarisation]
-    out = [("layout", capture.layout), ("polarisation", polarised), ("up axis", capture.up)]
+    out = [("layout", capture.layout.replace("_", " ")), ("polarisation", polarised), ("up axis", capture.up)]
     if capture.light_stage is not None:
         stage = capture.light_stage
         out += [("lights", str(len(stage.lights))), ("cameras", ", ".join(sorted(stage.cameras)))]

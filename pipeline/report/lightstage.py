@@ -64,13 +64,19 @@ def _maps(run: StageRun, folder: Path) -> list[dict[str, str]]:
     return out
 
 
+def _in_reading_order(path: Path) -> tuple[str, int]:
+    """Camera by camera: the frames' sum, what the maps make of it, the difference."""
+    order = 0 if path.stem.endswith("_olat") else 2 if path.stem.endswith("_error") else 1
+    return path.stem.removesuffix("_olat").removesuffix("_error"), order
+
+
 def relit_cards(run: StageRun) -> list[dict[str, Any]]:
     """For every map: the map, and each camera from the frames and from the fitted maps."""
     out = []
     maps = {p.stem: p for p in run.capture.environments}
     for folder in sorted(p for p in run.inputs["relight"].iterdir() if p.is_dir()):
         pics = []
-        for path in sorted(folder.glob("cam*.exr")):
+        for path in sorted(folder.glob("cam*.exr"), key=_in_reading_order):
             if path.stem.endswith("_error"):
                 error = read_image(path, ("Y",))[..., 0]
                 shown = pictures.scale(error, 0, ERROR_FULL)[pictures.crop_box([error > 0])]

@@ -88,7 +88,8 @@ def needed(capture: Capture, parameters: OlatParameters) -> Decision:
             parameters.solver not in ("closed", "gradient"), f"solver {parameters.solver}"
         ),
     }  # fmt: skip
-    return Decision(True, f"{len(stage.cameras)} cameras under {len(stage.lights)} lights, cross and parallel", passes)
+    cameras = f"{len(stage.cameras)} camera{'s' * (len(stage.cameras) != 1)}"
+    return Decision(True, f"{cameras} under {len(stage.lights)} lights, cross and parallel", passes)
 
 
 def capture_files(capture: Capture) -> Iterable[Path]:

@@ -45,7 +45,7 @@ def read(root: Path, config: CaptureConfig) -> Capture:
         files += [*camera.cross, *camera.parallel, *([camera.mask] if camera.mask else [])]
     files += [root / "capture.toml"] if config.path is not None else []
     environments = sorted(p for p in (root / "envmaps").glob("*") if p.suffix.lower() in (".hdr", ".exr"))
-    facts = [f"{len(cameras)} cameras, {len(lights)} lights"]
+    facts: list[str] = []
     extra = {len(camera.full_light) for camera in cameras.values()} - {0}
     if extra:
         facts.append(f"{max(extra)} frames a pass beside the lights' own (all lights on, or dark) are left out")
