@@ -25,7 +25,7 @@ ROUND = 0.03  # anisotropy below which a lobe counts as round
 DISAGREE = math.cos(math.radians(3.0))  # of n_s and n_d: further apart, n_d is tried as a start
 MIXED_MISFIT = 0.05**2  # of the samples' square norm: a lobe that misses more may be several
 NOISE_SLACK = 1.25  # of the noise expected in the misfit: three standard deviations for 350 lights
-UNSURE = 0.1**2  # of the weighted square norm: a lobe or a mixture that misses more has no tangent
+UNSURE = 0.1**2  # of the square norm, weighted or not: a lobe or a mixture that misses more has no tangent
 ROUND_STEPS = 3  # Levenberg-Marquardt steps between two reweightings
 
 
@@ -82,9 +82,9 @@ def fit_lobe(
     passes += more
     values(settings.lobe, frame, shape, o, half, incident, g)
     large, small, angle = widths(shape)
-    miss, data = _misfit(g, kind(rho[0]), light, floor, use)
+    miss, data, count = _misfit(g, kind(rho[0]), light, floor, use)
     order = 1.0
-    if settings.mixed > 0 and prior >= 0 and miss > MIXED_MISFIT * data + NOISE_SLACK * light.size * noise * noise:
+    if settings.mixed > 0 and prior >= 0 and miss > MIXED_MISFIT * data + NOISE_SLACK * count * noise * noise:
         x = np.empty(3 + DIRECTIONS)
         copy2(frame, frame2)
         cost = reweight(g, kind(rho[0]), light, use, absolute, RELATIVE, weight)
@@ -103,22 +103,24 @@ def fit_lobe(
             for k in range(light.size):
                 g[k] = trial[k] / kind(total)
             copy1(trial_weight, weight)
-        miss, data = _misfit(g, kind(rho[0]), light, floor, weight)
-        if miss > UNSURE * data:  # what is left is as large as what tells the directions apart
-            order = 0.0
+        for weights in (use, weight):
+            miss, data, count = _misfit(g, kind(rho[0]), light, floor, weights)
+            if miss > UNSURE * data + NOISE_SLACK * count * noise * noise:
+                order = 0.0  # what is left is as large as what tells the directions apart
     return norm, passes, order
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
 def _misfit(g, rho, light, floor, use):
-    """Square sums of the residual and of the samples."""
-    s = data = ZERO * rho
+    """Square sums of the residual and of the samples, and the sum of the weights."""
+    s = data = n = ZERO * rho
     for k in range(g.size):
         r = rho * g[k] - light[k]
         r = r if floor[k] == ZERO else min(r, ZERO)
         s += use[k] * r * r
         data += use[k] * light[k] * light[k]
-    return float(s), float(data)
+        n += use[k]
+    return float(s), float(data), float(n)
 
 
 @njit(cache=True, error_model="numpy")
