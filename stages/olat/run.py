@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import os
 from collections.abc import Iterator
@@ -56,6 +57,7 @@ def run(stage: StageRun, lanes: Lanes) -> None:
         stage.progress.say("compiling the fits for this machine (once; about a minute)")
     none = np.empty((len(rig), 0, 3), np.uint16 if lanes.jobs[0][0].half else np.float32)
     fit(none, none, np.empty((0, 3)), rig, settings, parameters.precision)  # loads the kernels while the frames are read
+    gc.enable()  # `reading` had switched it off
     pilot, lanes.pieces[0] = _pilot(lanes.pieces[0])
     settings = choose_lobe(stage, pilot, rig, settings)
     del pilot  # it may be a whole band
