@@ -19,6 +19,8 @@ from stages.masks.segment import frame_s0
 MEAN, STD = np.array([123.675, 116.28, 103.53], np.float32), np.array([58.395, 57.12, 57.375], np.float32)
 """ImageNet's, in 8-bit codes: what SAM was trained with."""
 POINTS = 8
+STRAY_PCT, BOX_ROOM = 2.0, 0.05
+"""Of the points, left out at either side of a box; and what it is widened by, of its size."""
 
 
 def by_sam(stage: StageRun, views: list[str], cameras: dict[str, Camera]) -> dict[str, NDArray[np.bool_]]:
@@ -30,9 +32,10 @@ def by_sam(stage: StageRun, views: list[str], cameras: dict[str, Camera]) -> dic
     with stage.progress.bar("Segment Anything", len(views), "views") as bar:
         for view in views:
             image = display(frame_s0(stage, view))
-            points = prompt_points(cameras.get(view), cloud, ball, image.shape[1], image.shape[0])
-            box = _box(points) if stage.parameters.prompt == "box" and len(points) > 2 else None
-            out[view] = tidy(segment_image(model, image, None if box is not None else points, box))
+            height, width = image.shape[:2]
+            box = prompt_box(cameras.get(view), cloud, width, height) if stage.parameters.prompt == "box" else None
+            points = prompt_points(cameras.get(view), cloud, ball, width, height) if box is None else None
+            out[view] = tidy(segment_image(model, image, points, box))
             bar.advance()
     return out
 
@@ -59,19 +62,34 @@ def prompt_points(
     camera: Camera | None, cloud: NDArray | None, ball: Fixation | None, width: int, height: int
 ) -> NDArray[np.float64]:
     """Pixels [n, 2] on the object: sparse points inside what the cameras look at, else its centre, else the image's."""
-    if camera is not None and cloud is not None and len(cloud) >= POINTS:
-        pixels, depth = camera.project(cloud)
-        seen = (depth > 0) & (pixels > 0).all(-1) & (pixels < [width, height]).all(-1)
-        pixels = pixels[seen]
-        if len(pixels) >= POINTS:
-            # The middle of the cloud: its fringe may be background.
-            order = np.argsort(np.linalg.norm(pixels - np.median(pixels, 0), axis=-1), kind="stable")
-            return pixels[order[: len(order) // 2 + 1][:: max(1, len(order) // 2 // POINTS)]][:POINTS]
+    pixels = _seen(camera, cloud, width, height)
+    if len(pixels) >= POINTS:
+        # The middle of the cloud: its fringe may be background.
+        order = np.argsort(np.linalg.norm(pixels - np.median(pixels, 0), axis=-1), kind="stable")
+        return pixels[order[: len(order) // 2 + 1][:: max(1, len(order) // 2 // POINTS)]][:POINTS]
     if camera is not None and ball is not None:
         pixel, depth = camera.project(ball.centre)
         if depth > 0 and 0 < pixel[0] < width and 0 < pixel[1] < height:
             return pixel[None]
     return np.array([[width / 2, height / 2]])
+
+
+def prompt_box(camera: Camera | None, cloud: NDArray | None, width: int, height: int) -> NDArray[np.float64] | None:
+    """(x0, y0, x1, y1) about the sparse points but for stray ones, pixels; None where there are too few."""
+    pixels = _seen(camera, cloud, width, height)
+    if len(pixels) < POINTS:
+        return None
+    low, high = np.percentile(pixels, [STRAY_PCT, 100 - STRAY_PCT], axis=0)
+    room = BOX_ROOM * (high - low)  # features lie inside outlines
+    return np.concatenate([np.maximum(low - room, 0), np.minimum(high + room, [width, height])])
+
+
+def _seen(camera: Camera | None, cloud: NDArray | None, width: int, height: int) -> NDArray[np.float64]:
+    """Pixels [n, 2] of the sparse points that lie in the image."""
+    if camera is None or cloud is None or not len(cloud):
+        return np.empty((0, 2))
+    pixels, depth = camera.project(cloud)
+    return pixels[(depth > 0) & (pixels > 0).all(-1) & (pixels < [width, height]).all(-1)]
 
 
 def segment_image(model: Any, image: NDArray[np.uint8], points: NDArray | None, box: NDArray | None) -> NDArray[np.bool_]:
@@ -97,10 +115,6 @@ def segment_image(model: Any, image: NDArray[np.uint8], points: NDArray | None, 
         logits = torch.nn.functional.interpolate(found.pred_masks[:, 0, best][None].float(), (size, size), mode="bilinear")
     whole = logits[0, 0, :height, :width].numpy()
     return cv2.resize(whole, (image.shape[1], image.shape[0]), interpolation=cv2.INTER_LINEAR) > 0
-
-
-def _box(points: NDArray) -> NDArray[np.float64]:
-    return np.concatenate([points.min(0), points.max(0)])
 
 
 def _points(stage: StageRun, ball: Fixation | None) -> NDArray | None:

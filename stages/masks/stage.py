@@ -70,7 +70,7 @@ def run(stage: StageRun) -> None:
 
 STAGE = Stage(
     name="masks",
-    version=1,
+    version=2,
     parameters=MasksParameters,
     needs=("decode", "poses"),
     needed=needed,

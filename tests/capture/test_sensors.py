@@ -227,11 +227,14 @@ def test_levels_and_dark_frame_and_flat_field(tmp_path):
     np.testing.assert_allclose(rgb, truth / 1.3, rtol=5e-3)
 
 
-def shifted(image, x, y):
-    """The picture moved to the right and down by a fraction of a pixel."""
-    from scipy.ndimage import shift
+def shifted(image, x, y, degrees=0.0):
+    """The picture moved to the right and down by a fraction of a pixel, and turned about its centre."""
+    from scipy.ndimage import affine_transform
 
-    return shift(image, (y, x, 0), order=3, mode="nearest")
+    turn, centre = np.radians(degrees), (np.array(image.shape[:2]) - 1) / 2
+    matrix = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    offset = centre - matrix @ (centre + np.array([y, x]))
+    return np.stack([affine_transform(plane, matrix, offset, order=3, mode="nearest") for plane in np.moveaxis(image, 2, 0)], 2)
 
 
 def stack_of(root, truth, angles=(0, 45, 90, 135), names=None, move=None):
@@ -243,15 +246,16 @@ def stack_of(root, truth, angles=(0, 45, 90, 135), names=None, move=None):
             write_exr(root / "images" / name, {c: image[..., i].astype(np.float32) for i, c in enumerate("RGB")})
 
 
-def test_movement_between_the_angles_is_measured_and_taken_out_where_asked(tmp_path):
+@pytest.mark.parametrize(("move", "furthest"), [((1.6, -0.7), np.hypot(1.6, 0.7)), ((1.2, 0.5, 1.5), 3.6)])
+def test_movement_between_the_angles_is_measured_and_taken_out_where_asked(tmp_path, move, furthest):
     from scipy.ndimage import gaussian_filter
 
     truth = np.stack([gaussian_filter(p, (1.2, 1.2, 0)) for p in np.moveaxis(textured(), 2, 0)], 2).astype(np.float32)
     stack_of(tmp_path / "still", truth)
     assert open_capture(tmp_path / "still").views[0].read().moved is None
-    stack_of(tmp_path / "moved", truth, move=(1.6, -0.7))
+    stack_of(tmp_path / "moved", truth, move=move)
     view = open_capture(tmp_path / "moved").views[0].read()
-    assert view.moved[1].name == "a_090.exr" and view.moved[0] == pytest.approx(np.hypot(1.6, 0.7), abs=0.3)
+    assert view.moved[1].name == "a_090.exr" and view.moved[0] == pytest.approx(furthest, abs=0.3)
     (tmp_path / "moved" / "capture.toml").write_text("[stack]\nalign = true\n")
     aligned = open_capture(tmp_path / "moved").views[0].read()
     inner = (slice(6, -6), slice(6, -6))

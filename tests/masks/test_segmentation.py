@@ -1,5 +1,7 @@
 """Segmentation without given masks: by all views together, by a clean plate, by a matte, by a SAM checkpoint."""
 
+import io
+
 import numpy as np
 import pytest
 
@@ -111,6 +113,44 @@ def test_sam_checkpoint_from_a_local_folder(views, tmp_path):
     by_box = segment_image(model, image, None, np.array([10.0, 10.0, 60.0, 60.0]))
     assert by_point.shape == by_box.shape == (70, 96)
     np.testing.assert_array_equal(by_point, segment_image(load_sam(tmp_path), image, points, None))
+
+
+@pytest.mark.parametrize("prompt", ["points", "box"])
+def test_sam_is_prompted_by_the_sparse_model(views, tmp_path, monkeypatch, prompt):
+    from types import SimpleNamespace
+
+    from pipeline.progress import Progress
+    from stages.masks import sam
+
+    rng = np.random.default_rng(0)
+    direction = rng.normal(size=(300, 3))
+    cloud = 0.55 * direction / np.linalg.norm(direction, axis=-1, keepdims=True)  # on the largest sphere of the object
+    cloud[:9] = rng.normal(size=(9, 3)) * 40  # background
+    points = np.zeros(len(cloud), [("xyz", "<f4", 3), ("rgb", "u1", 3)])
+    points["xyz"] = cloud
+    (tmp_path / "points.ply").write_bytes(b"ply\nend_header\n" + points.tobytes())
+    asked = {}
+
+    def segment(model, image, points, box):
+        asked[len(asked)] = points, box
+        return np.ones(image.shape[:2], bool)
+
+    monkeypatch.setattr(sam, "load_sam", lambda folder: None)
+    monkeypatch.setattr(sam, "frame_s0", lambda stage, view: views.images[int(view)])
+    monkeypatch.setattr(sam, "segment_image", segment)
+    parameters = SimpleNamespace(sam_checkpoint="", prompt=prompt)
+    stage = SimpleNamespace(parameters=parameters, inputs={"poses": tmp_path}, progress=Progress(io.StringIO()))
+    sam.by_sam(stage, ["0", "3", "7"], {str(i): c for i, c in enumerate(views.cameras)})
+    for (points, box), index in zip(asked.values(), (0, 3, 7)):
+        mask = views.masks[index]
+        if prompt == "points":
+            assert box is None and len(points) == sam.POINTS
+            assert mask[points[:, 1].astype(int), points[:, 0].astype(int)].all()
+        else:
+            x0, y0, x1, y1 = box
+            pixels, _ = views.cameras[index].project(cloud[9:])
+            inside = (pixels > [x0, y0]).all(-1) & (pixels < [x1, y1]).all(-1)
+            assert points is None and inside.mean() > 0.95 and (x1 - x0) * (y1 - y0) < 2 * mask.sum()
 
 
 def test_missing_sam_checkpoint_is_a_user_error(tmp_path):
