@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -16,6 +17,7 @@ import numpy as np
 from benchmarks.olat_pixels import VIEW, make, rig_of, unit
 from pipeline.images import write_exr, write_mask
 
+REPEATS = 3
 BASE = 2000  # pixels that a frame is drawn from, at random: as incompressible as noise makes real frames
 CAMERA = """#focal length
 {focal} {focal}
@@ -80,20 +82,25 @@ def read_only(root: Path, dataset: Path) -> tuple[float, float]:
 
 
 def measure(width: int, height: int, lights: int) -> dict[str, float]:
-    """Write a capture, run the stage on it in a process of its own, read it alone."""
+    """Write a capture, run the stage on it in a process of its own and read it alone, in turn; medians of `REPEATS`."""
     with tempfile.TemporaryDirectory() as made:
         root, dataset = Path(made) / "capture", Path(made) / "dataset"
         pixels = write_capture(root, width, height, lights)
         command = [sys.executable, "-m", "stages", "olat", str(root), "--dataset", str(dataset)]
-        subprocess.run(command, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-        manifest = json.loads((dataset / "olat" / "current" / "manifest.json").read_text())
-        reading, reading_cpu = read_only(root, dataset)
-    found = {
-        "width": width, "height": height, "lights": lights, "pixels": pixels, "wall_s": manifest["wall_s"],
-        "cpu_s": manifest["cpu_s"], "reading_s": reading, "wall_over_reading": manifest["wall_s"] / reading,
-        "reading_cpu_s": reading_cpu, "cpu_over_reading": manifest["cpu_s"] / reading_cpu,
-        "peak_rss_mb": manifest["peak_rss_mb"], "load": os.getloadavg()[0],
-    }  # fmt: skip
+        runs = []
+        for _ in range(REPEATS):
+            shutil.rmtree(dataset / "olat", ignore_errors=True)
+            subprocess.run(command, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+            manifest = json.loads((dataset / "olat" / "current" / "manifest.json").read_text())
+            reading, reading_cpu = read_only(root, dataset)
+            wall, cpu = manifest["wall_s"], manifest["cpu_s"]
+            runs.append({
+                "wall_s": wall, "cpu_s": cpu, "reading_s": reading, "wall_over_reading": wall / reading,
+                "reading_cpu_s": reading_cpu, "cpu_over_reading": cpu / reading_cpu, "peak_rss_mb": manifest["peak_rss_mb"],
+                "load": os.getloadavg()[0],
+            })  # fmt: skip
+    found: dict[str, float] = {"width": width, "height": height, "lights": lights, "pixels": pixels}
+    found |= {key: float(np.median([run[key] for run in runs])) for key in runs[0]}
     print("  " + "  ".join(f"{k} {v:.4g}" for k, v in found.items()), flush=True)
     return found
 

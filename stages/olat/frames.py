@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Generator, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
@@ -114,19 +114,18 @@ def ahead(items: Iterator[T]) -> Generator[T, None, None]:
     Never more than two exist: one with the caller, one being made or waiting.
     """
     pool = ThreadPoolExecutor(1)
-    first = pool.submit(next, items, None)
 
-    def hand_over() -> Generator[T, None, None]:
-        made = first
+    def hand_over(made: Future[T | None]) -> Generator[T, None, None]:
         try:
             while (item := made.result()) is not None:
                 made = pool.submit(next, items, None)
                 yield item
+                del item
         finally:
             made.cancel()
             pool.shutdown(wait=True)
 
-    return hand_over()
+    return hand_over(pool.submit(next, items, None))
 
 
 def _read_part(

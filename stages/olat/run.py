@@ -7,7 +7,7 @@ import json
 import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from itertools import chain, groupby
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -81,9 +81,16 @@ def _pilot(pieces: Iterator[Piece]) -> tuple[list[Piece], Iterator[Piece]]:
     pilot: list[Piece] = []
     for piece in pieces:
         if not piece.pilot:
-            return pilot or [piece], chain([piece], pieces)
+            return pilot or [piece], _begun([piece], pieces)
         pilot.append(piece)
     return pilot, pieces
+
+
+def _begun(taken: list[Piece], pieces: Iterator[Piece]) -> Iterator[Piece]:
+    """The pieces already taken, then the rest; none is held after it is handed over."""
+    while taken:
+        yield taken.pop(0)
+    yield from pieces
 
 
 def light_rig(index: dict[str, Any], step: int = 1) -> LightTable:
