@@ -37,6 +37,8 @@ DIM = np.float32(1e-4)
 """Of full scale: light below which colours are taken for grey, as noise has none."""
 MAX_RATIO = np.float32(0.98)
 """Keeps 1 + p u + q v off zero: a crossed, fully polarised sample says nothing of the light."""
+CROSSED_DEG = 3.0
+"""From 90 degrees: what calibration may find; the light then errs by up to 3 % of its polarised part."""
 EVEN = np.float32(1e-12)
 """Of full scale squared: gradients below it have no direction (a 16-bit code squared is 2e-10)."""
 
@@ -55,10 +57,9 @@ HALO = {"mono": 8, "bayer": 20}
 
 
 def carries(order: Sequence[float]) -> bool:
-    """Whether the crossed polarisers of a cell share its diagonals, and the two pairs differ."""
-    return np.linalg.cond(_basis(tuple(order), None)[1]) < 30 and all(
-        abs((order[a] - order[b]) % 180 - 90) < 1e-3 for a, b in ((0, 3), (1, 2))
-    )
+    """Whether the crossed polarisers of a cell share its diagonals, calibrated angles included, and the two pairs differ."""
+    crossed = all(abs((order[a] - order[b]) % 180 - 90) < CROSSED_DEG for a, b in ((0, 3), (1, 2)))
+    return crossed and 10 < (order[0] - order[1]) % 90 < 80
 
 
 @lru_cache(maxsize=8)
@@ -67,9 +68,8 @@ def _basis(order: tuple[float, ...], extinction: float | None) -> tuple[np.float
     rows = 2 * polariser_design(order, extinction)
     gain = rows[0, 0]
     modulation = rows[:, 1:] / gain
-    p, q = (modulation[0] - modulation[1]) / 2, (modulation[0] + modulation[1]) / 2
-    turn = np.stack([p, q])
-    inverse = np.linalg.inv(turn) if abs(np.linalg.det(turn)) > 1e-6 else np.diag([1.0, np.inf])
+    u, v = np.array([1, -1, 1, -1]), np.array([1, 1, -1, -1])
+    inverse = np.linalg.inv(np.stack([u @ modulation, v @ modulation]) / 4)
     return np.float32(2 / gain), np.ascontiguousarray(inverse, np.float32), np.ascontiguousarray(modulation, np.float32)
 
 

@@ -71,7 +71,7 @@ class MosaicConfig:
 @dataclass(frozen=True)
 class StackConfig:
     """Angle stacks. `angles_deg`: the polariser's angle of each file suffix; `clockwise`: angles turn the other way;
-    `align`: shift each picture onto the first (the camera or the filter moved the image)."""
+    `align`: lay each picture on the first (the camera or the filter moved the image)."""
 
     angles_deg: dict[str, float] = field(default_factory=dict)
     clockwise: bool = False
@@ -128,7 +128,7 @@ def load_config(root: Path) -> CaptureConfig:
     if not path.is_file():
         return CaptureConfig()
     try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
+        table = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise UserError(path, f"is not valid TOML: {error}", "correct it; docs/captures.md has an example") from None
     config = _fill(CaptureConfig, table, path, "", hidden=("path",))

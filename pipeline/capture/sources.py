@@ -22,6 +22,8 @@ from pipeline.capture.stokes_files import finished, holds_stokes, is_verbatim, m
 from pipeline.errors import UserError
 from pipeline.images import channel_names, image_size
 
+NO_CARRIERS = "mosaic.order has no crossed polarisers on the diagonals: each angle is interpolated on its own, less exactly"
+
 Camera_of = Callable[[Group], str]
 
 
@@ -148,6 +150,7 @@ def _stack_loader(group: Group, config: CaptureConfig, camera: str) -> Callable[
 
 def _mosaic_loader(group: Group, config: CaptureConfig, colour: str) -> Callable[[], DecodedView]:
     def load() -> DecodedView:
+        from pipeline.capture.carriers import carries
         from pipeline.capture.mosaic import demosaic
 
         path = group.paths[0]
@@ -172,6 +175,8 @@ def _mosaic_loader(group: Group, config: CaptureConfig, colour: str) -> Callable
             stokes=stokes, saturated=_block_any(image.saturated), design=design, covariance=design_covariance(design)
         )
         fault = order_fault(samples, config.mosaic.order)
+        if not fault and config.mosaic.demosaic == "carriers" and not carries(config.mosaic.order):
+            fault = NO_CARRIERS
         if fault:
             view.faults[fault] = 0
         view.faults |= faults

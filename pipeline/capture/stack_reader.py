@@ -28,6 +28,8 @@ LOOKED_AT = 100_000
 """Pixels whose samples are kept to tell noise and movement from."""
 MISNAMED = "no Stokes vector explains all angles: are they those of the names (swapped files, a filter not turned, its zero)?"
 
+MIXED = "some angles are 8-bit files, taken as sRGB, and others linear: export all alike"
+
 
 @dataclass(frozen=True)
 class _Angle:
@@ -67,6 +69,8 @@ def read_stack(group: Group, config: CaptureConfig, told: PolariserConfig | None
             view.moved = largest_shift(group, config)
     if holes:
         view.faults["not finite: left out of the fit"] = holes
+    if len({angle.image.encoding for angle in angles}) > 1:
+        view.faults[MIXED] = 0
     return finished(view, group.paths[0], angles[0].image, whole=True)
 
 

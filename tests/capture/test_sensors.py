@@ -82,6 +82,13 @@ def test_mosaic_of_even_light_is_exact_for_any_order(method, order):
     np.testing.assert_allclose(out, stokes, atol=2e-6)
 
 
+def test_calibrated_angles_of_a_mosaic_are_demodulated_too():
+    truth, order = np.repeat(textured().mean(-1, keepdims=True), 3, -1), (89.2, 45.6, 134.7, 0.5)
+    found = demosaic(as_mosaic(truth, "mono", order), order)
+    plain = demosaic(as_mosaic(truth, "mono", order), order, method="bilinear")
+    assert np.mean((dolp(found) - dolp(truth)) ** 2) < 0.2 * np.mean((dolp(plain) - dolp(truth)) ** 2)
+
+
 def test_mosaic_folder_is_recognised_and_read(tmp_path):
     truth = np.repeat(textured(64).mean(-1, keepdims=True), 3, -1)
     (tmp_path / "images").mkdir()

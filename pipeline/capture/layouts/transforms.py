@@ -173,7 +173,7 @@ def camera_of_view(frame: dict[str, Any], table: dict[str, Any], view: ViewSourc
 def load_table(path: Path) -> dict[str, Any]:
     """The parsed transforms.json with at least one frame. Raises UserError."""
     try:
-        table = json.loads(path.read_text(encoding="utf-8"))
+        table = json.loads(path.read_text(encoding="utf-8-sig"))
     except (OSError, ValueError) as error:
         raise UserError(path, f"is not valid JSON ({error})", "export it again") from None
     frames = table.get("frames") if isinstance(table, dict) else None
