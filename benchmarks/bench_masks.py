@@ -142,6 +142,7 @@ def figure(rows: list[dict], path: Path) -> None:
         axes.plot([], [], "osD^v"[captures.index(capture)], color="grey", label=capture)
     axes.axhline(0.05, color="black", linewidth=0.8, linestyle="--", label="IoU 0.95")
     axes.set(xlabel="run time (s per view)", ylabel="1 - mean IoU", title="Mask methods")
+    axes.xaxis.set_minor_formatter("")  # they would run into each other
     axes.grid(True, which="both", alpha=0.3)
     axes.legend(fontsize=7, ncols=2)
     fig.tight_layout()

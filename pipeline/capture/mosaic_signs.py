@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.capture.brackets import read_exposures
-from pipeline.capture.config import CaptureConfig
+from pipeline.capture.config import CaptureConfig, MosaicConfig
 from pipeline.capture.files import FLOAT_SUFFIXES, RAW_SUFFIXES
 from pipeline.capture.grouping import Group, group_files
 from pipeline.capture.pixels import LinearImage
@@ -28,8 +28,13 @@ def read_mosaic(group: Group, config: CaptureConfig) -> LinearImage:
 
 
 def is_mosaic(paths: Sequence[Path], config: CaptureConfig) -> bool:
-    """Whether single-channel sensor files are 2x2 polariser mosaics rather than grey pictures (a few are looked at)."""
+    """Whether single-channel sensor files are 2x2 polariser mosaics rather than grey pictures (a few are looked at).
+
+    A `[mosaic]` table in capture.toml says so of any kind of file that may hold one.
+    """
     some = _a_few(paths)
+    if config.mosaic != MosaicConfig():
+        return all(p.suffix.lower() in RAW_SUFFIXES or len(channel_names(p)) == 1 for p in some)
     if any(p.suffix.lower() in FLOAT_SUFFIXES | RAW_SUFFIXES or len(channel_names(p)) != 1 for p in some):
         return False
     return float(np.mean([carrier_share(_bare(p, config), period=4) for p in some])) > CARRIER_SHARE
