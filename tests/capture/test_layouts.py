@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pipeline.capture import open_capture
-from pipeline.images import read_mask, write_exr
+from pipeline.images import read_mask, write_exr, write_mask
 
 # RGBE shares one exponent: an error of 0.76 % of the pixel's largest channel, and s1 is a difference of two.
 STOKES_TOLERANCE = {"pandora": 0.02}
@@ -31,12 +31,18 @@ def test_a_stokes_layout_comes_back_as_it_was_written(layout, scene, write, tmp_
 
 def test_colour_behind_polarisers_keeps_its_cameras_apart(scene, write, tmp_path):
     write.polarisers_transforms(tmp_path, scene)
+    for i, name in enumerate(scene.names):
+        write_mask(tmp_path / "masks" / "AB"[i % 2] / f"{name}.png", scene.masks[name])
     (tmp_path / "capture.toml").write_text("[polarisers.A]\nangle_deg = 20\n[polarisers.B]\nangle_deg = 97\ntrusted = false\n")
     capture = open_capture(tmp_path)
     assert capture.polarisation == "polarisers" and capture.camera_names == ("A", "B")
     assert [v.view for v in capture.views] == ["A_0000", "A_0002", "B_0001"]
     assert capture.polarisers["A"].trusted and not capture.polarisers["B"].trusted
     np.testing.assert_allclose(capture.view("B_0001").read().rgb, scene.intensity("0001", 100.0), atol=1e-6)
+    for view in capture.views:
+        name = view.view[2:]
+        np.testing.assert_allclose(capture.cameras[view.view].world_to_camera, scene.cameras[name].world_to_camera, atol=1e-6)
+        np.testing.assert_array_equal(read_mask(capture.masks[view.view]), scene.masks[name])
 
 
 def test_two_colmap_folders_are_two_polarisers_in_one_world(scene, write, tmp_path):
