@@ -26,7 +26,7 @@ DISAGREE = math.cos(math.radians(3.0))  # of n_s and n_d: further apart, n_d is 
 MIXED_MISFIT = 0.05**2  # of the samples' square norm: a lobe that misses more may be several
 NOISE_SLACK = 1.25  # of the noise expected in the misfit: three standard deviations for 350 lights
 UNSURE = 0.1**2  # of the square norm, weighted or not: a lobe or a mixture that misses more has no tangent
-ROUND_STEPS = 3  # Levenberg-Marquardt steps between two reweightings
+ROUND_STEPS, DIRECTED_STEPS = 2, 3  # Levenberg-Marquardt steps between two reweightings: round lobe, anisotropic lobe
 
 
 @njit(cache=True, error_model="numpy")
@@ -146,7 +146,7 @@ def _rounds(settings, prior, frame, shape, rho, o, n_d, stiff, absolute, isotrop
             reweight(g, kind(rho[0]), light, use, absolute, RELATIVE, weight)
         stiffness = _stiffness(prior, g, kind(rho[0]), light, use, weight) if stiff else 0.0
         _, _, more = optimise(settings.lobe, frame, shape, rho, o, half, incident, light, floor, weight, isotropic,
-                              stiffness, n_d, ROUND_STEPS, settings.tolerance)  # fmt: skip
+                              stiffness, n_d, ROUND_STEPS if isotropic else DIRECTED_STEPS, settings.tolerance)  # fmt: skip
         passes += more
         values(settings.lobe, frame, shape, o, half, incident, g)
     return reweight(g, kind(rho[0]), light, use, absolute, RELATIVE, weight), passes
