@@ -2,26 +2,24 @@
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import os
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDERS = ("pipeline/lights", "stages/olat")  # kernels that call one another across files
 
 
-def keep_fresh() -> None:
-    """Point numba's cache to a folder named after the kernels' sources, unless NUMBA_CACHE_DIR says where.
-
-    Call before the kernels are defined. Where the folder cannot be written numba's own choice stays.
-    """
-    import numba
-
+@functools.cache
+def folder() -> Path | None:
+    """The folder named after the sources of these kernels; None where NUMBA_CACHE_DIR says where, or it cannot be written."""
     if os.environ.get("NUMBA_CACHE_DIR"):
-        return
+        return None
     digest = hashlib.sha256()
-    for folder in FOLDERS:
-        for path in sorted((ROOT / folder).glob("*.py")):
+    for name in FOLDERS:
+        for path in sorted((ROOT / name).glob("*.py")):
             source = path.read_bytes()
             if b"@njit" in source:
                 digest.update(source)
@@ -29,6 +27,36 @@ def keep_fresh() -> None:
     try:
         target.mkdir(parents=True, exist_ok=True)
     except OSError:
+        return None
+    return target if os.access(target, os.W_OK) else None
+
+
+def compiled(name: str) -> bool:
+    """Whether a kernel (`file.function`) was compiled before, as far as one can tell."""
+    place = folder() or os.environ.get("NUMBA_CACHE_DIR")
+    return bool(place) and any(Path(str(place)).glob(f"**/{name}*.nbc"))
+
+
+def keep_fresh() -> None:
+    """Have numba keep these folders' kernels, and no others, in `folder()`. Call before the kernels are defined."""
+    from numba.core import caching
+
+    if any(c.__name__ == "_FreshLocator" for c in caching.CacheImpl._locator_classes):
         return
-    if os.access(target, os.W_OK):
-        numba.config.CACHE_DIR = str(target)  # type: ignore[attr-defined]
+
+    class _FreshLocator(caching.UserProvidedCacheLocator):
+        """Kernels of `FOLDERS` only: others keep numba's own place, whatever is imported first."""
+
+        def __init__(self, py_func: Any, py_file: str) -> None:
+            super().__init__(py_func, py_file)
+            self._cache_path = os.path.join(str(folder()), self.get_suitable_cache_subpath(py_file))
+
+        @classmethod
+        def from_function(cls, py_func: Any, py_file: str) -> Any:
+            """None for a kernel that is another's."""
+            ours = any(Path(py_file).resolve().is_relative_to(ROOT / name) for name in FOLDERS)
+            if not ours or folder() is None:
+                return None
+            return super(caching.UserProvidedCacheLocator, cls).from_function(py_func, py_file)
+
+    caching.CacheImpl._locator_classes.insert(0, _FreshLocator)

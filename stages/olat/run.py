@@ -8,15 +8,14 @@ import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from itertools import groupby
-from pathlib import Path
 from typing import Any
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.cameras import Camera
 from pipeline.capture.model import LightTable
+from pipeline.lights.kernel_cache import compiled
 from pipeline.lights.lobes import LOBES
 from pipeline.lights.solid_angles import solid_angles
 from pipeline.stage import StageRun
@@ -53,7 +52,7 @@ def run(stage: StageRun, lanes: Lanes) -> None:
     stage.note("overexposure", {"run": bound, "reason": why if parameters.overexposure != "off" else "overexposure=off"})
     stage.note("lights", {"used": len(rig), "of": len(index["lights"]["directions"])})
     settings = settings_of(parameters, stage.capture.config.olat, float(level) if bound and level is not None else np.inf)
-    if not any(Path(getattr(numba.config, "CACHE_DIR", "") or ".").glob("**/fit.fit_pixels*.nbc")):
+    if not compiled("fit.fit_pixels"):
         stage.progress.say("compiling the fits for this machine (once; about a minute)")
     none = np.empty((len(rig), 0, 3), np.uint16 if lanes.jobs[0][0].half else np.float32)
     fit(none, none, np.empty((0, 3)), rig, settings, parameters.precision)  # loads the kernels while the frames are read
