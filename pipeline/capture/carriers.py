@@ -31,16 +31,18 @@ EDGE = np.float32(40.0)
 """How fast a cell's weight falls with (differences of equal polarisers / sum of their light) squared."""
 COLOUR_EDGE = np.float32(7.5)
 """The same of the difference across two cells of the root of chroma, squared."""
+BRIGHT_PCT, EVERY = 99.5, 9
+"""The percentile of every 9th sample, each way, that the levels below are relative to: units do not matter."""
 DARK = np.float32(1e-3)
-"""Square of the light of a whole line of samples, of full scale, below which a cell is taken for noise: (8 x 0.004)^2."""
+"""Square of the light of a whole line of samples, of bright light, below which a cell is taken for noise: (8 x 0.004)^2."""
 DIM = np.float32(1e-4)
-"""Of full scale: light below which colours are taken for grey, as noise has none."""
+"""Of bright light: light below which colours are taken for grey, as noise has none."""
 MAX_RATIO = np.float32(0.98)
 """Keeps 1 + p u + q v off zero: a crossed, fully polarised sample says nothing of the light."""
 CROSSED_DEG = 3.0
 """From 90 degrees: what calibration may find; the light then errs by up to 3 % of its polarised part."""
 EVEN = np.float32(1e-12)
-"""Of full scale squared: gradients below it have no direction (a 16-bit code squared is 2e-10)."""
+"""Of bright light squared: gradients below it have no direction (a 16-bit code squared is 2e-10)."""
 
 
 def _taps(*values: float) -> Plane:
@@ -106,11 +108,23 @@ def _filter(image: Plane, taps: Plane, out: Plane | None = None) -> Plane:
     return cv2.sepFilter2D(image, cv2.CV_32F, taps, taps, dst=out, borderType=cv2.BORDER_REFLECT)
 
 
-def solve_tile(samples: Plane, order: Sequence[float], bayer: str, extinction: float | None, halo: int, out: Plane) -> None:
-    """Stokes out [h - 2 halo, w - 2 halo, 3, 3] of mosaic samples [h, w]; `bayer` names a block's colours, "": none."""
+def bright_level(mosaic: Plane) -> float:
+    """Bright light of a mosaic [H, W]; 1 where it is black."""
+    level = float(np.percentile(mosaic[::EVERY, ::EVERY], BRIGHT_PCT))  # an odd step: samples of every kind
+    return level if level > 0 else float(mosaic.max(initial=0)) or 1.0
+
+
+def solve_tile(
+    samples: Plane, order: Sequence[float], bayer: str, extinction: float | None, level: float, halo: int, out: Plane
+) -> None:
+    """Stokes out [h - 2 halo, w - 2 halo, 3, 3] of mosaic samples [h, w]; `bayer` names a block's colours, "": none.
+
+    `level`: see `bright_level`.
+    """
     from pipeline.capture import mosaic_kernels as kernels
 
     scale, basis, modulation = _basis(tuple(order), extinction)
+    scale /= np.float32(level)
     cells = (samples.shape[0] // 2, samples.shape[1] // 2)
     at = _cells(cells, bayer)
     colours = 3 if bayer else 1
@@ -140,4 +154,4 @@ def solve_tile(samples: Plane, order: Sequence[float], bayer: str, extinction: f
     kernels.solve_ratios(sums, terms, root, at.unmix, basis, MAX_RATIO, ratios)
     kernels.unpolarise(light, ratios, modulation, at.bayer, even)
     kernels.along_edges(even, EVEN, grey)
-    kernels.write_tile(grey, chroma, ratios, halo, _scratch("row", (3 * colours, cells[1])), out)
+    kernels.write_tile(grey, chroma, ratios, np.float32(level), halo, _scratch("row", (3 * colours, cells[1])), out)

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.capture.carriers import HALO, carries, solve_tile
+from pipeline.capture.carriers import HALO, bright_level, carries, solve_tile
 from pipeline.capture.frame_memory import frame_array
 from pipeline.capture.stack import polariser_design
 
@@ -46,6 +46,7 @@ def demosaic(
     halo = HALO[colour]
     rows, columns = (_mirrored(n, halo, block) for n in mosaic.shape)
     colours = bayer if colour == "bayer" else ""
+    level = bright_level(mosaic)
     bilinear = method == "bilinear" or not carries(order)
     out = frame_array((height, width, 3, 3))
 
@@ -62,7 +63,7 @@ def demosaic(
                 stokes = np.stack(_bilinear(plane, order, extinction), -1)[halo : halo + len(part), halo : halo + part.shape[1]]
                 part[..., c : c + 1 if colours else 3] = stokes[..., None]
         else:
-            solve_tile(samples, order, colours, extinction, halo, part)
+            solve_tile(samples, order, colours, extinction, level, halo, part)
 
     corners = [(y, x) for y in range(0, height, ROWS) for x in range(0, width, COLUMNS)]
     with ThreadPoolExecutor(max(1, threads)) as pool:

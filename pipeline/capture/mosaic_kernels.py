@@ -14,7 +14,7 @@ Stack = NDArray[np.float32]
 """Planes of the K colours [K, h/2, w/2] (K is 3, or 1 of a monochrome sensor)."""
 F = np.float32
 TINY = F(1e-12)
-"""Of full scale squared: below any light that a 16-bit code can tell (2e-10)."""
+"""Of bright light squared: below any light that a 16-bit code can tell (2e-10)."""
 
 
 @numba.njit(nogil=True, cache=True, fastmath=True)
@@ -224,9 +224,15 @@ def along_edges(image: Plane, dark: np.float32, out: Plane) -> None:
 
 @numba.njit(nogil=True, cache=True, fastmath=True)
 def write_tile(
-    grey: Plane, chroma: Stack, ratios: NDArray[np.float32], halo: int, wide: Plane, out: NDArray[np.float32]
+    grey: Plane,
+    chroma: Stack,
+    ratios: NDArray[np.float32],
+    level: np.float32,
+    halo: int,
+    wide: Plane,
+    out: NDArray[np.float32],
 ) -> None:
-    """Light times chroma and ratios, both bilinear between cells, as Stokes out [rows, columns, 3, 3].
+    """`level` times light, chroma and ratios, both bilinear between cells, as Stokes out [rows, columns, 3, 3].
 
     `wide` [3 K, w / 2] is room for a row of cells. The tile's planes reach `halo` samples further than `out`.
     """
@@ -238,7 +244,7 @@ def write_tile(
         cell, other = at // 2, at // 2 + (1 if at & 1 else -1)
         for c in range(colours):
             for x in range(wide.shape[1]):
-                wide[3 * c, x] = near * chroma[c, cell, x] + far * chroma[c, other, x]
+                wide[3 * c, x] = level * (near * chroma[c, cell, x] + far * chroma[c, other, x])
                 wide[3 * c + 1, x] = near * ratios[c, 0, cell, x] + far * ratios[c, 0, other, x]
                 wide[3 * c + 2, x] = near * ratios[c, 1, cell, x] + far * ratios[c, 1, other, x]
         for c in range(colours):

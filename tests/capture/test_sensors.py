@@ -68,6 +68,14 @@ def test_tiles_of_a_mosaic_join_without_seams(monkeypatch):
     np.testing.assert_allclose(demosaic(samples, ORDER, "bayer"), whole, atol=2e-5)
 
 
+@pytest.mark.parametrize("colour", ["mono", "bayer"])
+def test_units_of_a_mosaic_do_not_matter(colour):
+    samples = as_mosaic(textured(64), colour)
+    whole = demosaic(samples, ORDER, colour)
+    for factor in (1e-6, 1e4):
+        np.testing.assert_allclose(demosaic(samples * np.float32(factor), ORDER, colour) / factor, whole, atol=1e-5)
+
+
 def test_black_mosaic_is_black():
     for colour in ("mono", "bayer"):
         out = demosaic(np.zeros((16, 16), np.float32), ORDER, colour)
