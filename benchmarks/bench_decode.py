@@ -138,6 +138,7 @@ def speed_of(root: Path) -> dict[str, float]:
         "decode_over_write_cpu": best["whole"][1] / best["write"][1],
         "peak_rss_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
         "frame_mb": first.nbytes / 1e6,
+        "load_average": os.getloadavg()[0],  # above 2 on two cores: other jobs took part of the wall time
     }
 
 

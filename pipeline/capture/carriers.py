@@ -49,7 +49,8 @@ def _taps(*values: float) -> Plane:
     return np.array(values, np.float32) / np.float32(sum(values))
 
 
-CHROMA_WINDOW = MONO_WINDOW = _taps(1, 2, 1)
+CHROMA_WINDOW = _taps(1, 2, 1)
+MONO_WINDOW = _taps(1, 4, 1)
 COMMON_WINDOW = _taps(1, 4, 6, 4, 1)
 COLOUR_WINDOW = _taps(1, 2, 3, 4, 3, 2, 1)
 MIXTURE = np.array([[3 / 4, 1 / 4, 0], [1 / 8, 3 / 4, 1 / 8], [0, 1 / 4, 3 / 4]])
