@@ -1,7 +1,7 @@
-"""Speed and error of the olat fits: the whole chain, PRF's Table 3 rerun, printed forms, few lights, large frames.
+"""Speed and error of the olat fits: the whole chain, PRF's Table 3 rerun, printed forms, noise, few lights, large frames.
 
-`make bench-olat [CAPTURES=folder]`; CAPTURES adds the light stages with ground truth found there to the table of forms. Parts
-run one by one (`--parts speed zoo`); results are kept in benchmarks/results/olat.json and pictures beside it.
+`make bench-olat [CAPTURES=folder]`; CAPTURES adds the light stages with ground truth found there to the tables of forms and of
+noise. Parts run one by one (`--parts speed zoo`); results are kept in benchmarks/results/olat.json and pictures beside it.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks import olat_forms, olat_frames, olat_plots, olat_zoo
+from benchmarks import olat_forms, olat_frames, olat_noise, olat_plots, olat_zoo
 from benchmarks.olat_pixels import angle_deg, make, rig_of
 from benchmarks.olat_settings import AT, SETTINGS, timed
 from pipeline.lights.solid_angles import solid_angles
@@ -27,7 +27,7 @@ from stages.olat.fit import fit
 from stages.olat.zoo import SOLVERS
 
 RESULTS = Path(__file__).parent / "results"
-PARTS = ("speed", "lights", "forms", "frames", "zoo")
+PARTS = ("speed", "lights", "forms", "noise", "frames", "zoo")
 
 
 def throughput(count: int, lights: int = 346) -> dict[str, float]:
@@ -66,9 +66,7 @@ def against_lights(steps: tuple[int, ...] = (1, 2, 4, 8, 16, 32)) -> list[dict[s
 def main() -> None:
     """Run the parts and keep what they found."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument(
-        "--captures", type=Path, help="folder of captures; light stages with gt_brdf.json enter the table of forms"
-    )
+    parser.add_argument("--captures", type=Path, help="folder of captures; light stages with gt_brdf.json enter the tables")
     parser.add_argument("--parts", nargs="*", choices=PARTS, default=list(PARTS), help="what to run")
     parser.add_argument("--pixels", type=int, default=4000, help="pixels of the throughput run")
     parser.add_argument("--zoo-pixels", type=int, default=256, help="pixels of the solver comparison")
@@ -89,8 +87,12 @@ def main() -> None:
             olat_plots.plot_lights(record["lights"], RESULTS / "olat_lights.png")
         elif part == "forms":
             record["forms"] = olat_forms.table("synthetic", olat_forms.synthetic())
-            for name, pixels in olat_forms.captures(options.captures).items() if options.captures else ():
+            for name, (pixels, _) in olat_forms.captures(options.captures).items() if options.captures else ():
                 record["forms"] += olat_forms.table(name, pixels)
+        elif part == "noise" and options.captures:
+            record["noise"] = olat_noise.table(options.captures)
+        elif part == "noise":
+            print("  no --captures given")
         elif part == "frames":
             record["frames"] = olat_frames.large_frames()
         else:

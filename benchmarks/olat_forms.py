@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmarks.olat_pixels import Pixels, angle_deg, make, unit
 from benchmarks.olat_settings import AT, SETTINGS, timed
@@ -61,8 +62,8 @@ def synthetic() -> Pixels:
     return make(1000, lobe="beckmann", sigma=(0.3, 0.15), noise=1e-3, shadow=0.3, seed=5)
 
 
-def captures(folder: Path) -> dict[str, Pixels]:
-    """Pixels of every light stage with ground truth in `folder`, by capture and camera."""
+def captures(folder: Path) -> dict[str, tuple[Pixels, NDArray[np.bool_]]]:
+    """Pixels of every light stage with ground truth in `folder`, by capture and camera, and where they lie [H, W]."""
     found = {}
     for root in sorted(path.parent for path in folder.glob("*/gt_brdf.json")):
         stage = open_capture(root).light_stage
@@ -76,7 +77,7 @@ def captures(folder: Path) -> dict[str, Pixels]:
     return found
 
 
-def _pixels(lights, camera, truth, brdf) -> Pixels:
+def _pixels(lights, camera, truth, brdf) -> tuple[Pixels, NDArray[np.bool_]]:
     inside = truth["mask"] > 0.5
     for _ in range(EDGE):
         for axis in (0, 1):
@@ -91,7 +92,8 @@ def _pixels(lights, camera, truth, brdf) -> Pixels:
     u, v = brdf["sigma"]
     tangent = along if u >= v else np.cross(normal, along)
     count = len(normal)
-    return Pixels(
+    pixels = Pixels(
         rig, cross, parallel, -camera.camera.rays()[inside], normal, tangent, np.tile([max(u, v), min(u, v)], (count, 1)),
         truth["albedo"][inside][..., :3].astype(float), np.full(count, float(brdf["specular"])),
     )  # fmt: skip
+    return pixels, inside

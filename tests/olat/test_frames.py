@@ -1,12 +1,15 @@
 """Bands, reading and drift: what reaches the fits is what is in the files."""
 
+import time
+import weakref
+
 import numpy as np
 import pytest
 
 from pipeline.errors import UserError
 from pipeline.images import write_exr
 from stages.olat.drift import Drift, measure
-from stages.olat.frames import Band, Samples, bands_of, read_bands, read_rows
+from stages.olat.frames import Band, Samples, ahead, bands_of, read_bands, read_rows
 from stages.olat.stage import OlatParameters, every
 
 
@@ -40,6 +43,41 @@ def test_samples_are_the_files_pixels_in_the_order_of_the_lights(tmp_path, half)
             for data, frame in ((samples.cross[k], frames[k]), (samples.parallel[k], frames[3 + k])):
                 values = data.view(np.float16).astype(np.float32) if half else data
                 assert np.array_equal(values, frame.reshape(-1, 3)[samples.band.pixels])
+
+
+def test_reading_ahead_holds_two_bands_at_most():
+    alive: list[weakref.ref] = []
+
+    class Item:
+        pass
+
+    def items():
+        for _ in range(6):
+            item = Item()
+            alive.append(weakref.ref(item))
+            yield item
+            del item
+
+    seen = 0
+    for item in ahead(items()):
+        seen += 1
+        deadline = time.monotonic() + 5
+        while len(alive) < min(seen + 1, 6) and time.monotonic() < deadline:
+            time.sleep(0.001)
+        assert sum(reference() is not None for reference in alive) <= 2 and len(alive) <= seen + 1
+        del item
+    assert seen == 6
+
+
+def test_a_fault_while_reading_ahead_reaches_the_caller():
+    def items():
+        yield 1
+        raise UserError("frame", "is broken", "mend it")
+
+    made = ahead(items())
+    assert next(made) == 1
+    with pytest.raises(UserError, match="is broken"):
+        next(made)
 
 
 def test_a_truncated_frame_is_named(tmp_path):
