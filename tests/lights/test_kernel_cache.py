@@ -1,4 +1,4 @@
-"""Compiled kernels: those of the light stage lie in a folder named after their sources, everyone else's where numba puts them."""
+"""Compiled kernels: the light stage's lie in a folder named after their sources, everyone else's where numba puts them."""
 
 from pipeline.lighting import kernels
 from pipeline.lights import kernel_cache, numerics

@@ -153,6 +153,7 @@ def test_sam_is_prompted_by_the_sparse_model(views, tmp_path, monkeypatch, promp
             assert points is None and inside.mean() > 0.95 and (x1 - x0) * (y1 - y0) < 2 * mask.sum()
 
 
+@pytest.mark.slow
 def test_missing_sam_checkpoint_is_a_user_error(tmp_path):
     from stages.masks.sam import load_sam
 
