@@ -41,8 +41,9 @@ def plot_solvers(record: dict[str, Any], path: Path) -> None:
         axis.set_xlabel("seconds a pixel")
         axis.grid(alpha=0.3)
     axes[0].set_ylabel("gradient norm at the end")
-    axes[1].legend(fontsize=6, loc="center right")
-    figure.tight_layout()
+    handles, names = axes[1].get_legend_handles_labels()
+    figure.legend(handles, names, loc="lower center", ncol=len(names), frameon=False)
+    figure.tight_layout(rect=(0, 0.07, 1, 1))
     figure.savefig(path, dpi=100)
 
 
