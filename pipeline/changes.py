@@ -99,7 +99,9 @@ def differences(manifest: Mapping[str, Any], step: Step) -> tuple[str, bool]:
     if (a := len(old_facts.get("views", ()))) != (b := len(new_facts.get("views", ()))):
         own.append(f"the capture had {a} view{'s' * (a != 1)} and has {b}")
     changed = [k for k in new_facts if k != "views" and k in old_facts and old_facts[k] != new_facts[k]]
-    own += ["the capture's layout has changed" if k == "layout" else f"what capture.toml says of {k} has changed" for k in changed]
+    own += [
+        "the capture's layout has changed" if k == "layout" else f"what capture.toml says of {k} has changed" for k in changed
+    ]
     if manifest.get("version") != step.stage.version:
         own.append("the program has changed")
     if own:

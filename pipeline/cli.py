@@ -190,8 +190,10 @@ def _bring(call: Call, step: Step) -> bool:
     if version is None:
         status = _in_a_process_of_its_own(call, name)
         version = dataset.find(name, step.key)
-        if status or version is None:
-            sys.exit(status or 1)  # the child has said why
+        if status:
+            sys.exit(status)  # the child has said why
+        if version is None:  # it made another key than was planned here
+            raise UserError(name, "the capture or the program was changed during the run", "the same command goes on from here")
     dataset.use(version)
     return made
 

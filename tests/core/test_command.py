@@ -274,3 +274,20 @@ def test_a_gpu_that_is_not_there_is_told_before_anything_runs(command, refused, 
     line = refused("all", capture.root, "--dataset", "d", "--device", "cuda")
     assert "DEVICE" in line and "GPU" in line and "cpu" in line
     assert command("count", capture.root, "--dataset", "d", "--device", "cuda").status == 0
+
+
+def test_a_capture_that_changes_during_the_run_is_told_and_the_same_command_goes_on(command, capture, monkeypatch):
+    from pipeline import cli
+
+    make = cli._in_a_process_of_its_own
+
+    def meanwhile(call, name):
+        (capture.root / "number.txt").write_text("7")
+        return make(call, name)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(cli, "_in_a_process_of_its_own", meanwhile)
+        changed = command("all", capture.root, "--dataset", "d")
+    assert changed.status == 2 and "changed during the run" in changed.err
+    assert command("all", capture.root, "--dataset", "d").status == 0
+    assert Path("d/double/current/double.txt").read_text() == "28"
