@@ -35,6 +35,7 @@ SMALL = {
     "occlusion": False,
     "mirror": "split",
     "densify": False,
+    "recesses": False,
     "hull_resolution": 56,
     "iterations": 400,
 }

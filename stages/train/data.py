@@ -21,6 +21,9 @@ Mode = Literal["stokes", "polarisers", "none"]
 Split = Literal["train", "validation", "test"]
 TEST_EVERY = 8  # the contract: every 8th of the sorted views, from the first
 BLACK_BACKGROUND = 0.01  # background radiance over foreground radiance below which the edge pixels are premultiplied
+OPENING = 1e-3  # radiance (mean foreground = 0.25) below which no outer side of any dielectric under a sky is: 1/250 of
+# the mean, when its mirror reflection alone gives a twentieth
+SMALLEST_OPENING = 3  # pixels: fewer are dead pixels
 FEWEST_VIEWS = 4  # below this neither a hull nor an environment is determined at all
 
 
@@ -58,6 +61,7 @@ class View:
     frame_y: torch.Tensor
     alpha_target: torch.Tensor
     alpha_weight: torch.Tensor
+    openings: float = 0.0
 
     @property
     def size(self) -> tuple[int, int]:
@@ -181,6 +185,20 @@ def halved(source: SourceView) -> SourceView:
     return replace(source, camera=camera, image=half(source.image), mask=half(source.mask), valid=valid)
 
 
+def opening_pixels(source: SourceView, exposure: float) -> np.ndarray:
+    """Pixels inside the mask that hold no light at all [H, W]: the image looks through an opening at a surface's back.
+
+    A scan or a model of a vessel is often a surface without thickness, whose back no renderer lights; a camera, whose
+    noise alone exceeds the limit, never says so.
+    """
+    dark = (np.abs(source.image[:, :, 0]).max(-1) * exposure < OPENING) & (source.mask > 0.99) & source.valid
+    parts, count = ndimage.label(dark)
+    if count:
+        sizes = ndimage.sum_labels(dark, parts, np.arange(1, count + 1))
+        dark = np.isin(parts, 1 + np.flatnonzero(sizes >= SMALLEST_OPENING))
+    return dark
+
+
 def prepare(source: SourceView, frame: SceneFrame, black: bool, device: str = "cpu") -> View:
     """A view in the training frame, its counting pixels listed.
 
@@ -194,6 +212,9 @@ def prepare(source: SourceView, frame: SceneFrame, black: bool, device: str = "c
     core = full & ndimage.binary_erosion(full, border_value=1)
     counted = (grown if black else core) & source.valid
     alpha_weight = np.where(core | ~grown, 1.0, 0.0) if black else np.where(core | ~any_, 1.0, 0.25)
+    opening = opening_pixels(source, frame.exposure)
+    near_opening = ndimage.binary_dilation(opening, structure=np.ones((3, 3), bool))
+    alpha_weight = np.where(opening, 1.0, np.where(near_opening, 0.0, alpha_weight))
     index = np.flatnonzero(counted)
     rays = camera.rays().reshape(-1, 3)[index]
     frame_x, frame_y = (a.reshape(-1, 3)[index] for a in camera.stokes_frame())
@@ -212,12 +233,13 @@ def prepare(source: SourceView, frame: SceneFrame, black: bool, device: str = "c
         pixels=torch.as_tensor(index, device=device),
         target=tensor(image),
         colour_weight=torch.ones(len(index), device=device),
-        inside=torch.as_tensor(full.reshape(-1)[index], device=device),
+        inside=torch.as_tensor((full & ~near_opening).reshape(-1)[index], device=device),
         view_direction=tensor(-rays),
         frame_x=tensor(frame_x),
         frame_y=tensor(frame_y),
-        alpha_target=tensor(source.mask),
+        alpha_target=tensor(np.where(opening, 0.0, source.mask)),
         alpha_weight=tensor(alpha_weight),
+        openings=float(opening.sum() / max(full.sum(), 1)),
     )
 
 

@@ -65,6 +65,24 @@ def view_channels(rendered: Rendered, view: View, frame: SceneFrame) -> dict[str
     return channels | gbuffer_channels(rendered, view, frame)
 
 
+def with_backs(
+    channels: dict[str, np.ndarray], normals: torch.Tensor, alpha: torch.Tensor, view: View, frame: SceneFrame
+) -> dict[str, np.ndarray]:
+    """The channels with the normals of surfaces seen from behind, where the view looks through an opening at them.
+
+    normals [P, 3], alpha [P] of the back sides: `render.back_normals`. Such a normal faces away from the camera.
+    """
+    there = (channels["alpha"].reshape(-1)[view.pixels.cpu().numpy()] < SHOWN_ALPHA) & (alpha.cpu().numpy() > SHOWN_ALPHA)
+    rows = view.pixels.cpu().numpy()[there]
+    world = frame.directions_to_world(normals.cpu().numpy()[there])
+    out = dict(channels)
+    for k, c in enumerate("XYZ"):
+        flat = channels[f"N.{c}"].reshape(-1).copy()
+        flat[rows] = world[:, k]
+        out[f"N.{c}"] = flat.reshape(view.size)
+    return out
+
+
 def write_view(path: Path, channels: Mapping[str, np.ndarray]) -> None:
     """One view's channels as float32 EXR."""
     write_exr(path, channels)

@@ -56,6 +56,14 @@ class PolariserBank:
         part = torch.cos(angle) * stokes[:, 1] + torch.sin(angle) * stokes[:, 2]
         return stokes[:, 0] + self.contrast[k] * part
 
+    def mix(self, name: str) -> tuple[float, float]:
+        """(m1, m2) of `intensity` = s0 + m1 s1 + m2 s2 as it stands now."""
+        k = self.names.index(name)
+        if not self.settled[k]:
+            return 0.0, 0.0
+        angle, contrast = 2 * float(self.angles[k].detach()), float(self.contrast[k])
+        return contrast * math.cos(angle), contrast * math.sin(angle)
+
     def set_angle(self, name: str, radians: float) -> None:
         """Overwrite one angle (not a trusted one); it is in use from now on."""
         k = self.names.index(name)

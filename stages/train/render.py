@@ -83,6 +83,32 @@ def rasterise_view(
     )
 
 
+@torch.no_grad()
+def back_normals(splats: Splats, view: View, backend: str) -> tuple[torch.Tensor, torch.Tensor]:
+    """Outward normals [P, 3] and opacity [P] of the splats that turn their backs, at a view's counting pixels.
+
+    They are what an opening shows once no outer side is in the way: see `data.opening_pixels`.
+    """
+    height, width = view.size
+    centre = -view.world_to_camera[:3, :3].T @ view.world_to_camera[:3, 3]
+    towards = centre - splats.means
+    rows = torch.nonzero((splats.normals * towards).sum(-1) <= BACK_FACING * towards.norm(dim=-1))[:, 0]
+    raster = rasterize(
+        splats.means[rows],
+        splats.quaternions[rows],
+        splats.scales[rows],
+        splats.opacities[rows],
+        splats.normals[rows],
+        view.world_to_camera,
+        view.intrinsics,
+        width,
+        height,
+        backend=backend,
+        screen_filter=SCREEN_FILTER,
+    )
+    return unit(raster.features.reshape(height * width, -1)[view.pixels]), raster.alpha.reshape(-1)[view.pixels]
+
+
 def render_view(
     splats: Splats,
     view: View,

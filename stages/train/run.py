@@ -23,6 +23,7 @@ from . import checkpoint, export
 from .angle_search import search_angles
 from .data import SourceView, View, load_sources, prepare
 from .parameters import TrainParameters
+from .render import back_normals
 from .setup import Start, prepare_training
 from .trainer import CYCLE, Trainer
 
@@ -62,6 +63,8 @@ def train(stage: StageRun) -> None:
     write_log(stage.output / "train_log.csv", history.rows)
     stage.note("splats", len(trainer.scene.model))
     stage.note("iterations", trainer.iteration)
+    stage.note("recessed", [round(share, 4) for share in trainer.recessed])
+    stage.note("openings", round(openings_share(trainer), 5))
     checkpoint.clear(stage.scratch)
 
 
@@ -165,11 +168,17 @@ def whole_view(trainer: Trainer, start: Start, source: SourceView) -> tuple[View
     return view, trainer.render_whole(view)
 
 
+def openings_share(trainer: Trainer) -> float:
+    """Mean share of the object's pixels that look into an opening, over the training views."""
+    return float(np.mean([view.openings for view in trainer.pyramids[0]]))
+
+
 def write_results(trainer: Trainer, start: Start, sources: list[SourceView], stage: StageRun) -> None:
     """Everything that dataset.md lists for this stage, except the log."""
     output, frame = stage.output, start.frame
     (output / "test").mkdir(parents=True, exist_ok=True)
     (output / "gbuffer").mkdir(parents=True, exist_ok=True)
+    openings = openings_share(trainer) > 0
     with stage.progress.bar("writing views", total=len(sources), unit="views") as bar:
         for source in sources:
             view, rendered = whole_view(trainer, start, source)
@@ -177,6 +186,9 @@ def write_results(trainer: Trainer, start: Start, sources: list[SourceView], sta
             kept = [name for name in channels if not name.startswith(("S", "diffuse", "specular"))]
             export.write_view(output / "gbuffer" / f"{source.name}.exr", {name: channels[name] for name in kept})
             if source.split == "test":
+                if openings:
+                    backs = back_normals(trainer.scene.model.activated(), view, trainer.backend)
+                    channels = export.with_backs(channels, *backs, view, frame)
                 export.write_view(output / "test" / f"{source.name}.exr", channels)
             bar.advance()
     export.write_gaussians(output / "gaussians.ply", trainer.scene.model, frame)

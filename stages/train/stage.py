@@ -49,7 +49,7 @@ def run(stage: StageRun) -> None:
 
 STAGE = Stage(
     name="train",
-    version=2,
+    version=3,
     parameters=TrainParameters,
     needs=("decode", "poses", "masks"),
     needed=needed,

@@ -30,7 +30,10 @@ from .surface_losses import SurfaceWeights, surface_loss
 
 REFRESH = 100  # steps between rebuilding the surface graph
 CYCLE = 2 * REFRESH  # steps between densification, tracing and checkpoints: nothing traced has to be saved then
+RECESS_AT = (400, 600, 800)  # steps, multiples of CYCLE, before which hollows are looked for: the light must be about right
+LEAST_RECESS = 0.015  # share of the surface below which what is found counts as noise, and is not looked for again
 OCCLUSION_FROM = 200  # steps before the first tracing: the light and the albedo must mean something
+RECESS_UNTIL = 0.6  # share of the run after which there is no time left to settle
 DENSIFY_UNTIL = 0.6  # share of the run after which the splats stay as they are
 ANGLE_STEPS = (200, 300)  # steps at which unknown polariser angles are solved for outright; descent does the rest
 POLARISATION_SCALE = 1.0  # L_pol in encoded units weighs as much as L_rgb: both then count display steps
@@ -85,6 +88,7 @@ class Trainer:
         self.occluder: Occluder | None = None
         self.surface_occlusion: SplatOcclusion | None = None
         self.blocked = 0.0
+        self.recessed: list[float] = []  # share of the surface that was found to lie deeper, by search
 
     def tensors(self) -> dict[str, torch.Tensor]:
         """Every optimised tensor by its group's name."""
@@ -117,6 +121,10 @@ class Trainer:
             return
         if self.iteration > 0 and self.densify():
             self.scene.graph = build_graph(model["position"], model["normal"])
+        p = self.parameters
+        looking = p.recesses and self.iteration in RECESS_AT and self.iteration <= RECESS_UNTIL * p.iterations
+        if looking and (not self.recessed or self.recessed[-1] >= LEAST_RECESS):
+            self.recess()
         if self.parameters.occlusion and self.iteration >= OCCLUSION_FROM:
             self.trace()
 
@@ -134,6 +142,39 @@ class Trainer:
             split_edges(model, self.adam, edges_to_split(self.scene.graph, self.activity, p.max_splats - len(model)))
         self.activity = Activity.empty(len(model), model["position"].device)
         return p.densify and done <= DENSIFY_UNTIL
+
+    @torch.no_grad()
+    def recess(self) -> None:
+        """Look for hollows that no silhouette shows, and move the surface into them; the splats elsewhere stay."""
+        from .recess.explanation import shading_tables
+        from .recess.hollow import DepthField, hollowed
+        from .recess.images import view_images
+        from .recess.refit import refit
+        from .recess.search import surface_depths
+
+        if self.parameters.occlusion:
+            self.trace()
+        model, p, graph = self.scene.model, self.parameters, self.scene.graph
+        assert graph is not None
+        carried = carried_hull(self.scene.hull, model)
+        surface = HullMesh(carried.vertices, carried.triangles, carried.normals)
+        occlusion = {name: traced for (name, level), traced in self.scene.occlusion.items() if level == 0}
+        images = view_images(self.pyramids[0], self.mode, self.scene.bank, occlusion)
+        splats = model.activated()
+        shading = shading_tables(splats, self.light(), p.fresnel)
+        points, albedo = splats.means.detach().cpu().numpy(), splats.albedo.detach().cpu().numpy()
+        found = surface_depths(surface, images, shading, points, albedo, p.seed)
+        self.recessed.append(found.share)
+        if found.share < LEAST_RECESS:
+            return
+        field = DepthField(found.points, found.depths)
+        hollow = hollowed(surface, field)
+        if hollow is None:
+            return
+        if refit(model, self.adam, field, hollow, graph.spacing, p.max_splats, p.seed):
+            self.scene.hull = hollow
+            self.scene.graph = build_graph(model["position"], model["normal"])
+            self.activity = Activity.empty(len(model), model["position"].device)
 
     @torch.no_grad()
     def trace(self) -> None:
@@ -313,6 +354,8 @@ class Trainer:
             "std_deg": list(std),
             "settled": settled,
             "activity": vars(self.activity),
+            "hull": {name: torch.as_tensor(value) for name, value in vars(self.scene.hull).items()},
+            "recessed": list(self.recessed),
         }
 
     def load(self, state: dict[str, Any]) -> None:
@@ -328,5 +371,7 @@ class Trainer:
         self.adam.load(state["adam"])
         self.exchange.load(state["exchange"])
         self.activity = Activity(**state["activity"])
+        self.scene.hull = HullMesh(**{name: value.numpy() for name, value in state["hull"].items()})
+        self.recessed = list(state["recessed"])
         self.iteration = state["iteration"]
         self.scene.graph = None

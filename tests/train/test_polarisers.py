@@ -68,3 +68,12 @@ def test_says_when_the_angles_determine_nothing(angles, bad):
     assert (bank.undetermined() is not None) == bad
     assert all(0 <= s.angle_deg < 180 for s in bank.result().values())
     assert np.isfinite([s.contrast for s in bank.result().values()]).all()
+
+
+def test_the_mixture_of_stokes_components_is_what_the_intensity_uses():
+    bank = PolariserBank({"a": PolariserPrior(37.0, True, extinction=5.0), "b": PolariserPrior()}, ["a", "b"])
+    stokes = stokes_field(50)
+    for name in bank.names:
+        m1, m2 = bank.mix(name)
+        mixed = stokes[:, 0] + m1 * stokes[:, 1] + m2 * stokes[:, 2]
+        assert torch.allclose(mixed, bank.intensity(stokes, name), atol=1e-6)

@@ -1,0 +1,1 @@
+"""Recesses: hollows that no silhouette shows, found where another depth explains the photographs better."""
