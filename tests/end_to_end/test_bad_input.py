@@ -131,6 +131,13 @@ def test_pixels_that_are_not_numbers_are_told_and_harmless(views):
     assert np.isfinite(read_stokes(views.parent / "out" / "decode" / "current" / "frames" / "001.exr")).all()
 
 
+def test_a_black_image_is_told(views):
+    path = views / "images" / "003.exr"
+    write_stokes(path, 0 * read_stokes(path))
+    outcome = run(views, "decode")
+    assert outcome.status == 0 and "003.exr: every pixel is black" in outcome.err
+
+
 @pytest.mark.parametrize("missing", [1, 2, 3])
 def test_light_table_of_another_length_is_named(stage, missing):
     lines = (stage / "lights.csv").read_text().splitlines()

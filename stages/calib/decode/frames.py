@@ -37,6 +37,7 @@ class FrameRecord:
     impossible: int = 0
     negative: int = 0
     pixels: int = 0
+    black: bool = False
     moved: tuple[float, Path] | None = None
 
 
@@ -84,6 +85,7 @@ def _decode_one(source: ViewSource, stage: StageRun) -> tuple[str, FrameRecord]:
         record.negative, record.impossible, peak = survey.negative, survey.impossible, survey.peak
     else:
         peak = float(image.max(initial=0.0))
+    record.black = not peak > 0
     half = _half(peak, stage.parameters.precision)
     if decoded.verbatim is not None and stage.parameters.precision == "auto":
         shutil.copyfile(decoded.verbatim, stage.output / name)
@@ -154,6 +156,10 @@ def _tell(stage: StageRun, records: dict[str, FrameRecord]) -> None:
         stage.warn(
             f"{stage.capture.root}: DoLP is above 1 in {100 * impossible / total:.1f} % of the pixels: black level, order?"
         )
+    if black := [v for v, r in sorted(records.items()) if r.black]:
+        first = stage.capture.view(black[0]).paths[0]
+        more = f" and {count(black[1:], 'more view')}" if len(black) > 1 else ""
+        stage.warn(f"{first}{more}: every pixel is black: leave it out, or export it again")
     if clipped:
         stage.progress.say(f"saturated samples in {count(clipped, 'view')} ({some(clipped)})")
     sizes = {(r.facts["width"], r.facts["height"]) for r in records.values()}
