@@ -9,7 +9,7 @@ surfaces (f to 0: D1/12, a uniform spread) and for f = 1/4, and close to it in b
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,30 +54,32 @@ def surface_widths(rows: NDArray[np.float64], spread: NDArray[np.float64]) -> No
 
 def spreads(normals: NDArray[np.float64]) -> NDArray[np.float64]:
     """Covariance [H, W, 3, 3] (rad²) of the normals below each pixel, from their map [H, W, 3] (0 outside the object)."""
-    near, far = (_scatter(normals, lag) for lag in (1, 2))
-    size, beyond = (np.trace(scatter, axis1=2, axis2=3) for scatter in (near, far))
+    near = _mean_square(normals, 1, lambda step: step[..., :, None] * step[..., None, :])
+    size = np.trace(near, axis1=2, axis2=3)
+    beyond = _mean_square(normals, 2, lambda step: np.sum(step * step, -1))
     ratio = np.divide(beyond, size, out=np.full_like(size, 4.0), where=(size > 0) & (beyond > 0))
     return (NEAR + FAR * np.minimum(ratio, 4.0))[..., None, None] * near  # 4: smooth; above it the surface only bends
 
 
-def _scatter(normals: NDArray[np.float64], lag: int) -> NDArray[np.float64]:
-    """Sum over both axes of the mean outer square of the differences to the neighbours `lag` pixels away [H, W, 3, 3]."""
-    total = np.zeros((*normals.shape, 3))
-    inside = np.linalg.norm(normals, axis=-1) > 0.5
+def _mean_square(normals: NDArray[np.float64], lag: int, square: Callable[[NDArray], NDArray]) -> NDArray[np.float64]:
+    """Sum over both axes of the mean `square` of the differences to the neighbours `lag` pixels away [H, W, ...]."""
+    inside = np.any(normals != 0, -1)
+    total = np.zeros((*inside.shape, *square(normals[:1, :1]).shape[2:]))
     for axis in (0, 1):
         length = normals.shape[axis]
         if length <= lag:
             continue
-        a, b = (np.moveaxis(normals, axis, 0)[part] for part in (slice(lag, None), slice(None, -lag)))
-        within = np.moveaxis(inside, axis, 0)
-        fine = within[lag:] & within[:-lag] & (np.sum(a * b, -1) > EDGE)
-        step = np.where(fine[..., None], a - b, 0.0)
-        square = step[..., :, None] * step[..., None, :]
-        part, count = np.zeros((length, *square.shape[1:])), np.zeros(within.shape)
-        for place in (slice(lag, None), slice(None, -lag)):
-            part[place] += square
-            count[place] += fine
-        total += np.moveaxis(part / np.maximum(count, 1.0)[..., None, None], 0, axis)
+        turned, within = np.moveaxis(normals, axis, 0), np.moveaxis(inside, axis, 0)
+        a, b = turned[lag:], turned[:-lag]
+        fine = within[lag:] & within[:-lag] & (np.einsum("...k,...k->...", a, b) > EDGE)
+        value = square(np.where(fine[..., None], a - b, 0.0))
+        count = np.zeros(within.shape)
+        count[lag:] += fine
+        count[:-lag] += fine
+        weight = (1.0 / np.maximum(count, 1.0)).reshape(*count.shape, *[1] * (value.ndim - 2))
+        out = np.moveaxis(total, axis, 0)
+        out[lag:] += value * weight[lag:]
+        out[:-lag] += value * weight[:-lag]
     return total
 
 

@@ -14,7 +14,7 @@ from stages.olat.cameras import CameraJob, camera_jobs, pilot_bands
 from stages.olat.drift import Drift, measure
 from stages.olat.frames import READERS, Band, Samples, ahead, read_band
 
-SWITCH_S = 5e-5  # how long a reader waits for the interpreter while modules load (Python's own 5 ms would starve the readers)
+SWITCH_S = 5e-4  # how long a reader waits for the interpreter while modules load (Python's own 5 ms would starve the readers)
 
 
 @dataclass
