@@ -96,3 +96,16 @@ def test_stage_frames_follow_the_lambert_law(captures):
             assert np.median(ratio) == pytest.approx(1.0, abs=0.05)  # inter-reflection adds a few percent
             return
     pytest.fail("no light is in front of the object")
+
+
+@pytest.mark.slow
+def test_anisotropic_stages_are_light_stages_with_noise_and_clipping(tmp_path):
+    pytest.importorskip("mitsuba")
+    from synth import anisotropic
+
+    anisotropic.build(tmp_path / "rubble", "rubble", [], size=24, lights=6, seed=0)
+    capture = open_capture(tmp_path / "rubble")
+    camera = capture.light_stage.cameras["cam00"]
+    frames = np.stack([read_image(path, RGB) for path in camera.parallel])
+    assert len(frames) == 6
+    assert frames.max() <= anisotropic.CLIP and frames.min() < 0  # half of the noise about black is below it
