@@ -18,7 +18,6 @@ from stages.olat.frames import Band, bands_of, is_half
 from stages.olat.stage import OlatParameters, every
 
 PILOT = 600  # pixels on which the lobe is chosen
-PILOT_CHUNKS = 3  # places in the frame that they come from
 
 
 @dataclass(frozen=True)
@@ -65,9 +64,8 @@ def _job(stage: StageRun, name: str, entry: dict[str, Any]) -> CameraJob:
     return CameraJob(name, cross, parallel, camera, mask, half, bands)
 
 
-def pilot_bands(job: CameraJob) -> list[Band]:
-    """About `PILOT` of a camera's pixels from `PILOT_CHUNKS` places, in single chunks of scanlines: little to read."""
+def middle_chunk(job: CameraJob) -> Band:
+    """The chunk of scanlines in the middle of the object, thinned: little to read, and where highlights are."""
     chunks = bands_of(job.mask, len(job.cross), 0.0, 2)
-    chosen = [chunks[k] for k in sorted({len(chunks) * q // (PILOT_CHUNKS + 1) for q in range(1, PILOT_CHUNKS + 1)})]
-    step = max(1, sum(len(chunk.pixels) for chunk in chosen) // PILOT)
-    return [replace(chunk, pixels=chunk.pixels[::step]) for chunk in chosen]
+    chunk = chunks[len(chunks) // 2]
+    return replace(chunk, pixels=chunk.pixels[:: max(1, len(chunk.pixels) // PILOT)])

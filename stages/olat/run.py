@@ -76,11 +76,11 @@ def run(stage: StageRun, lanes: Lanes) -> None:
 
 
 def _pilot(pieces: Iterator[Piece]) -> tuple[list[Piece], Iterator[Piece]]:
-    """The pieces on which the lobe is chosen, and those to fit: the first band is both where it is the only one."""
+    """The pieces on which the lobe is chosen, and those to fit: the first band is both."""
     pilot: list[Piece] = []
     for piece in pieces:
         if not piece.pilot:
-            return pilot or [piece], _begun([piece], pieces)
+            return [*pilot, piece], _begun([piece], pieces)
         pilot.append(piece)
     return pilot, pieces
 
@@ -122,9 +122,12 @@ def choose_lobe(stage: StageRun, pilot: list[Piece], rig: LightTable, settings: 
     if parameters.lobe != "auto" or settings.gradient:
         return settings
     camera, parts = pilot[0].job.camera, [piece.samples for piece in pilot]
-    step = max(1, sum(len(part.band.pixels) for part in parts) // PILOT)
-    cross, parallel = (np.concatenate([getattr(part, side)[:, ::step] for part in parts], 1) for side in ("cross", "parallel"))
-    view = -camera.rays().reshape(-1, 3)[np.concatenate([part.band.pixels[::step] for part in parts])]
+    steps = [max(1, len(part.band.pixels) * len(parts) // PILOT) for part in parts]
+    cross, parallel = (
+        np.concatenate([getattr(part, side)[:, ::step] for part, step in zip(parts, steps)], 1)
+        for side in ("cross", "parallel")
+    )
+    view = -camera.rays().reshape(-1, 3)[np.concatenate([part.band.pixels[::step] for part, step in zip(parts, steps)])]
     points = nearest_points(camera, view) if stage.capture.config.olat.near_light else None
     found = {}
     for name in ("ward", "beckmann"):

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 from pipeline.stage import StageRun
-from stages.olat.cameras import CameraJob, camera_jobs, pilot_bands
+from stages.olat.cameras import CameraJob, camera_jobs, middle_chunk
 from stages.olat.drift import Drift, measure
 from stages.olat.frames import READERS, Band, Samples, ahead, read_band
 
@@ -41,7 +41,7 @@ class Lanes:
 
 @contextmanager
 def reading(stage: StageRun) -> Iterator[Lanes]:
-    """Begin to read. The first lane begins with its pilot: extra pieces, or its only band. Raises UserError."""
+    """Begin to read. The first lane begins with a piece for its pilot where it has several bands. Raises UserError."""
     jobs = camera_jobs(stage)
     count = max(1, min(stage.jobs, len(jobs)))
     lanes = [jobs[k::count] for k in range(count)]
@@ -66,8 +66,7 @@ def _pieces(stage: StageRun, jobs: list[CameraJob], pilot: bool) -> Iterator[Pie
             shift = _measured(job, stage.parameters.band_mb) if align and not whole else (0, 0)
             drift = Drift(job.camera.width, job.camera.height)
             if pilot and job is jobs[0] and not whole:
-                for band in pilot_bands(job):
-                    yield Piece(job, _band(pool, job, band, shift), shift, drift, pilot=True)
+                yield Piece(job, _band(pool, job, middle_chunk(job), shift), shift, drift, pilot=True)
             for band in job.bands:
                 samples = _band(pool, job, band, shift)
                 drift.add(samples)
