@@ -35,7 +35,7 @@ SMALL = {
     "occlusion": False,
     "mirror": "split",
     "densify": False,
-    "recesses": False,
+    "recesses": "off",
     "hull_resolution": 56,
     "iterations": 400,
 }

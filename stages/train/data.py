@@ -21,8 +21,9 @@ Mode = Literal["stokes", "polarisers", "none"]
 Split = Literal["train", "validation", "test"]
 TEST_EVERY = 8  # the contract: every 8th of the sorted views, from the first
 BLACK_BACKGROUND = 0.01  # background radiance over foreground radiance below which the edge pixels are premultiplied
-OPENING = 1e-3  # radiance (mean foreground = 0.25) below which no outer side of any dielectric under a sky is: 1/250 of
+OPENING = 2.5e-3  # radiance (mean foreground = 0.25) below which no outer side of any dielectric under a sky is: 1/100 of
 # the mean, when its mirror reflection alone gives a twentieth
+MOST_OPEN = 0.15  # mean share of black pixels above which they are unlit sides, not openings
 SMALLEST_OPENING = 3  # pixels: fewer are dead pixels
 FEWEST_VIEWS = 4  # below this neither a hull nor an environment is determined at all
 
@@ -199,8 +200,14 @@ def opening_pixels(source: SourceView, exposure: float) -> np.ndarray:
     return dark
 
 
-def prepare(source: SourceView, frame: SceneFrame, black: bool, device: str = "cpu") -> View:
-    """A view in the training frame, its counting pixels listed.
+def has_openings(sources: list[SourceView], exposure: float) -> bool:
+    """Whether the training views look into openings: some pixels are black, but not so many that it is for lack of light."""
+    shares = [opening_pixels(s, exposure).sum() / max((s.mask > 0.99).sum(), 1) for s in sources if s.split != "test"]
+    return bool(shares) and 0 < float(np.mean(shares)) <= MOST_OPEN
+
+
+def prepare(source: SourceView, frame: SceneFrame, black: bool, device: str = "cpu", openings: bool = False) -> View:
+    """A view in the training frame, its counting pixels listed. `openings`: black pixels are openings, not dark surfaces.
 
     On a black background the ring about the mask counts too (its coverage is left to the model); otherwise the mask's
     own edge pixels, mixed with the background, count for nothing.
@@ -212,7 +219,7 @@ def prepare(source: SourceView, frame: SceneFrame, black: bool, device: str = "c
     core = full & ndimage.binary_erosion(full, border_value=1)
     counted = (grown if black else core) & source.valid
     alpha_weight = np.where(core | ~grown, 1.0, 0.0) if black else np.where(core | ~any_, 1.0, 0.25)
-    opening = opening_pixels(source, frame.exposure)
+    opening = opening_pixels(source, frame.exposure) if openings else np.zeros(full.shape, bool)
     near_opening = ndimage.binary_dilation(opening, structure=np.ones((3, 3), bool))
     alpha_weight = np.where(opening, 1.0, np.where(near_opening, 0.0, alpha_weight))
     index = np.flatnonzero(counted)

@@ -19,7 +19,9 @@ class TrainParameters:
     seed: int = _p(0, "seed of every random choice")
     max_splats: int = _p(34000, "upper bound of the number of Gaussians (count)")
     densify: bool = _p(True, "remove splats that never show and add some where the images pull hardest")
-    recesses: bool = _p(True, "look for hollows that no silhouette shows, by what the images agree on at other depths")
+    recesses: Literal["auto", "on", "off"] = _p(
+        "auto", "look for hollows that no silhouette shows, by what the images agree on at other depths; auto: with full Stokes"
+    )
     start_fraction: float = _p(0.8, "share of max_splats to start with; the rest is for densification (fraction)")
     splat_pixels: float = _p(0.9, "wanted distance between neighbouring Gaussians (pixels of the training images)")
     hull_resolution: int = _p(112, "voxels along the longest side of the visual hull (count)")

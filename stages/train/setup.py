@@ -10,7 +10,18 @@ import torch
 
 from pipeline.capture.model import PolariserPrior
 
-from .data import Mode, SourceView, View, background_is_black, edge_offset, exposure_of, halved, prepare, with_validation
+from .data import (
+    Mode,
+    SourceView,
+    View,
+    background_is_black,
+    edge_offset,
+    exposure_of,
+    halved,
+    has_openings,
+    prepare,
+    with_validation,
+)
 from .environment import Environment
 from .frame import SceneFrame
 from .initialise.hull import HullMesh, Silhouette, visual_hull
@@ -68,7 +79,8 @@ def prepare_training(
     levels = [sources]
     if parameters.coarse_fraction > 0:
         levels.append([halved(s) for s in sources])
-    pyramids = [[prepare(s, frame, black, device) for s in level if s.split != "test"] for level in levels]
+    openings = has_openings(seen, frame.exposure)
+    pyramids = [[prepare(s, frame, black, device, openings) for s in level if s.split != "test"] for level in levels]
     return Start(Scene(model, environment, bank, hull), pyramids, frame, hull, black, pixel)
 
 

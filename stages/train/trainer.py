@@ -122,7 +122,8 @@ class Trainer:
         if self.iteration > 0 and self.densify():
             self.scene.graph = build_graph(model["position"], model["normal"])
         p = self.parameters
-        looking = p.recesses and self.iteration in RECESS_AT and self.iteration <= RECESS_UNTIL * p.iterations
+        wanted = p.recesses == "on" or (p.recesses == "auto" and self.mode == "stokes")
+        looking = wanted and self.iteration in RECESS_AT and self.iteration <= RECESS_UNTIL * p.iterations
         if looking and (not self.recessed or self.recessed[-1] >= LEAST_RECESS):
             self.recess()
         if self.parameters.occlusion and self.iteration >= OCCLUSION_FROM:

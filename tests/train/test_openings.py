@@ -11,7 +11,7 @@ import torch
 from pipeline.cameras import Camera
 from pipeline.lighting import Prefilter, shade
 from stages.train import export
-from stages.train.data import SourceView, opening_pixels, prepare
+from stages.train.data import SourceView, has_openings, opening_pixels, prepare
 from stages.train.parameters import TrainParameters
 from stages.train.render import back_normals
 from stages.train.setup import prepare_training
@@ -41,9 +41,19 @@ def test_black_patches_inside_the_mask_are_openings_and_dead_pixels_are_not():
 
 def test_a_dark_but_lit_surface_is_no_opening():
     source = flat_source(0.25)
-    source.image[5:8, 5:8] = 0.004
+    source.image[5:8, 5:8] = 0.005
     assert not opening_pixels(source, 1.0).any()
     assert not opening_pixels(replace(source, valid=np.zeros((16, 16), bool)), 1.0).any()
+
+
+def test_the_unlit_half_of_an_object_is_no_opening():
+    lit, unlit = flat_source(0.25), flat_source(0.25)
+    unlit.image[:, :8] = 0
+    assert not has_openings([lit, unlit], 1.0)
+    few = flat_source(0.25)
+    few.image[5:8, 5:8] = 0
+    assert has_openings([lit, few], 1.0)
+    assert not has_openings([lit, lit], 1.0)
 
 
 def bowl_view(camera: Camera, light) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -88,7 +98,7 @@ def test_a_bowl_stays_open_and_shows_the_normals_of_its_inside():
         )
         truths[name] = bowl_view(camera, light)[2]
     parameters = TrainParameters(
-        iterations=900, max_splats=2000, hull_resolution=48, environment_resolution=16, occlusion=False, recesses=False
+        iterations=900, max_splats=2000, hull_resolution=48, environment_resolution=16, occlusion=False, recesses="off"
     )
     start = prepare_training(sources, "stokes", {}, "y", parameters, "cpu")
     assert any(view.openings > 0.05 for view in start.pyramids[0])

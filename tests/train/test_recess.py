@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 import pytest
 import torch
@@ -229,7 +231,7 @@ def test_training_finds_a_dent_that_no_silhouette_shows():
         split = "test" if k % 8 == 0 else "train"
         sources.append(SourceView(f"{k:03d}", split, camera, stokes.astype(np.float32), full, np.ones(full.shape, bool)))
 
-    def gap(recesses: bool) -> tuple[float, list[float]]:
+    def gap(recesses: Literal["on", "off"]) -> tuple[float, list[float]]:
         parameters = TrainParameters(
             iterations=800, max_splats=2500, hull_resolution=48, environment_resolution=16, occlusion=False, recesses=recesses
         )
@@ -241,8 +243,8 @@ def test_training_finds_a_dent_that_no_silhouette_shows():
         inside_dent = DENT_RADIUS - np.linalg.norm(points - DENT_AT, axis=-1)
         return float(np.quantile(inside_dent, 0.98)), trainer.recessed
 
-    without, _ = gap(False)
-    found, shares = gap(True)
+    without, _ = gap("off")
+    found, shares = gap("on")
     assert shares and shares[0] > 0.01
     assert without > 0.1  # the dent's floor lies deeper than that below the hull
     assert found < 0.6 * without
