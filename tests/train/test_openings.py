@@ -19,7 +19,7 @@ from stages.train.trainer import Trainer
 
 from .conftest import ALBEDO, IOR, ROUGHNESS, look_at, sky
 
-CUT = 0.6  # the unit sphere's shell is open above this height
+CUT = 0.8  # the unit sphere's shell is open above this height
 
 
 def flat_source(value: float) -> SourceView:
@@ -85,17 +85,14 @@ def test_a_bowl_stays_open_and_shows_the_normals_of_its_inside():
         angle = 2.4 * k
         camera = Camera(
             size, size, 1.7 * size, 1.7 * size, size / 2, size / 2,
-            look_at(np.array([np.cos(angle), -0.5 + 2.0 * (k % 10) / 10, np.sin(angle)]), 4.5),
+            look_at(np.array([np.cos(angle), -0.8 + 1.9 * (k % 10) / 10, np.sin(angle)]), 4.5),
         )  # fmt: skip
         stokes, mask, _ = bowl_view(camera.resized(2 * size, 2 * size), light)
         stokes, cover = (a.reshape(size, 2, size, 2, *a.shape[2:]).mean((1, 3)) for a in (stokes, mask))
         full = (cover > 0.99).astype(np.float32)
         name = f"{k:03d}"
-        sources.append(
-            SourceView(
-                name, "test" if k % 8 == 0 else "train", camera, stokes.astype(np.float32), full, np.ones(full.shape, bool)
-            )
-        )
+        split = "test" if k % 8 == 0 else "train"
+        sources.append(SourceView(name, split, camera, stokes.astype(np.float32), full, np.ones(full.shape, bool)))
         truths[name] = bowl_view(camera, light)[2]
     parameters = TrainParameters(
         iterations=900, max_splats=2000, hull_resolution=48, environment_resolution=16, occlusion=False, recesses="off"
