@@ -10,6 +10,7 @@ import torch
 
 from pipeline.cameras import Camera
 from pipeline.lighting import Prefilter, shade
+from stages.train import checkpoint
 from stages.train.data import SourceView
 from stages.train.initialise.hull import HullMesh, vertex_normals
 from stages.train.model import SplatModel, Splats
@@ -213,30 +214,38 @@ def dented_view(camera: Camera, light) -> tuple[np.ndarray, np.ndarray]:
     return stokes.reshape(*shape, 3, 3), hit.reshape(shape)
 
 
-@pytest.mark.slow
-def test_training_finds_a_dent_that_no_silhouette_shows():
-    torch.set_num_threads(1)
+def dented_sources(size: int = 64, count: int = 24) -> list[SourceView]:
+    """The dented ball from around."""
     light = Prefilter(16, "beckmann").apply(sky())
     sources = []
-    size = 64
-    for k in range(24):
-        angle = 2.4 * k
-        camera = Camera(
-            size, size, 1.7 * size, 1.7 * size, size / 2, size / 2,
-            look_at(np.array([np.cos(angle), -0.4 + 1.5 * k / 24, np.sin(angle)]), 4.5),
-        )  # fmt: skip
+    for k in range(count):
+        angle, height = 2.4 * k, -0.4 + 1.5 * k / count
+        direction = np.array([np.cos(angle), height, np.sin(angle)])
+        camera = Camera(size, size, 1.7 * size, 1.7 * size, size / 2, size / 2, look_at(direction, 4.5))
         stokes, mask = dented_view(camera.resized(2 * size, 2 * size), light)
         stokes, cover = (a.reshape(size, 2, size, 2, *a.shape[2:]).mean((1, 3)) for a in (stokes, mask))
         full = (cover > 0.99).astype(np.float32)
         split = "test" if k % 8 == 0 else "train"
         sources.append(SourceView(f"{k:03d}", split, camera, stokes.astype(np.float32), full, np.ones(full.shape, bool)))
+    return sources
+
+
+def dent_trainer(sources: list[SourceView], recesses: Literal["on", "off"], occlusion: bool = False) -> Trainer:
+    """A small training of it, not begun."""
+    torch.set_num_threads(1)
+    parameters = TrainParameters(
+        iterations=800, max_splats=2500, hull_resolution=48, environment_resolution=16, occlusion=occlusion, recesses=recesses
+    )
+    start = prepare_training(sources, "stokes", {}, "y", parameters, "cpu")
+    return Trainer(start.scene, start.pyramids, "stokes", start.frame, parameters, "cpu")
+
+
+@pytest.mark.slow
+def test_training_finds_a_dent_that_no_silhouette_shows():
+    sources = dented_sources()
 
     def gap(recesses: Literal["on", "off"]) -> tuple[float, list[float]]:
-        parameters = TrainParameters(
-            iterations=800, max_splats=2500, hull_resolution=48, environment_resolution=16, occlusion=False, recesses=recesses
-        )
-        start = prepare_training(sources, "stokes", {}, "y", parameters, "cpu")
-        trainer = Trainer(start.scene, start.pyramids, "stokes", start.frame, parameters, "cpu")
+        trainer = dent_trainer(sources, recesses)
         for _ in range(600):
             trainer.step()
         points = trainer.frame.points_to_world(trainer.scene.model["position"].detach().numpy().astype(float))
@@ -248,3 +257,21 @@ def test_training_finds_a_dent_that_no_silhouette_shows():
     assert shares and shares[0] > 0.01
     assert without > 0.1  # the dent's floor lies deeper than that below the hull
     assert found < 0.6 * without
+
+
+@pytest.mark.slow
+def test_a_run_resumed_at_a_recess_is_the_same_run(tmp_path):
+    sources = dented_sources(size=48, count=16)
+    trainer = dent_trainer(sources, "on", occlusion=True)
+    for _ in range(400):
+        trainer.step()
+    checkpoint.save(tmp_path, {"trainer": trainer.state()})
+    resumed = dent_trainer(sources, "on", occlusion=True)
+    saved = checkpoint.load(tmp_path)
+    assert saved is not None
+    resumed.load(saved["trainer"])
+    for _ in range(20):
+        trainer.step()
+        resumed.step()
+    assert trainer.recessed and trainer.recessed == resumed.recessed
+    assert all(torch.equal(value, resumed.tensors()[name]) for name, value in trainer.tensors().items())
