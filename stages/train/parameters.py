@@ -58,3 +58,7 @@ class TrainParameters:
             raise ValueError("splat_pixels must lie between 0.3 and 10")
         if self.max_splats < 100:
             raise ValueError("max_splats must be at least 100")
+
+    def searches_recesses(self, mode: str) -> bool:
+        """Whether hollows are looked for in data of this mode ("stokes", "polarisers", "none")."""
+        return self.recesses == "on" or (self.recesses == "auto" and mode == "stokes")

@@ -48,26 +48,10 @@ def rasterise_view(
 ) -> GBuffer:
     """G-buffer of a view at flat pixel indices [P]; `extra` [N, C] per-splat values are blended alongside."""
     height, width = view.size
-    centre = -view.world_to_camera[:3, :3].T @ view.world_to_camera[:3, 3]
-    with torch.no_grad():
-        towards = centre - splats.means
-        cosine = (splats.normals * towards).sum(-1)
-        rows = torch.nonzero(cosine > BACK_FACING * towards.norm(dim=-1))[:, 0]
+    rows = torch.nonzero(_faces(splats, view))[:, 0]
     columns = [splats.normals, splats.albedo, splats.roughness[:, None], splats.ior[:, None]]
     features = torch.cat(columns if extra is None else [*columns, extra], -1)[rows]
-    raster = rasterize(
-        splats.means[rows],
-        splats.quaternions[rows],
-        splats.scales[rows],
-        splats.opacities[rows],
-        features,
-        view.world_to_camera,
-        view.intrinsics,
-        width,
-        height,
-        backend=backend,
-        screen_filter=SCREEN_FILTER,
-    )
+    raster = _rasterised(splats, rows, features, view, backend)
     alpha = raster.alpha.reshape(-1)[pixels]
     values = raster.features.reshape(height * width, -1)[pixels] / alpha.clamp_min(LEAST_ALPHA)[:, None]
     return GBuffer(
@@ -89,16 +73,28 @@ def back_normals(splats: Splats, view: View, backend: str) -> tuple[torch.Tensor
 
     They are what an opening shows once no outer side is in the way: see `data.opening_pixels`.
     """
-    height, width = view.size
+    rows = torch.nonzero(~_faces(splats, view))[:, 0]
+    raster = _rasterised(splats, rows, splats.normals[rows], view, backend)
+    return unit(raster.features.reshape(-1, 3)[view.pixels]), raster.alpha.reshape(-1)[view.pixels]
+
+
+@torch.no_grad()
+def _faces(splats: Splats, view: View) -> torch.Tensor:
+    """Which splats [N] do not show the view their inner side."""
     centre = -view.world_to_camera[:3, :3].T @ view.world_to_camera[:3, 3]
     towards = centre - splats.means
-    rows = torch.nonzero((splats.normals * towards).sum(-1) <= BACK_FACING * towards.norm(dim=-1))[:, 0]
-    raster = rasterize(
+    return (splats.normals * towards).sum(-1) > BACK_FACING * towards.norm(dim=-1)
+
+
+def _rasterised(splats: Splats, rows: torch.Tensor, features: torch.Tensor, view: View, backend: str) -> Raster:
+    """The splats `rows` with their features [R, C] in a view."""
+    height, width = view.size
+    return rasterize(
         splats.means[rows],
         splats.quaternions[rows],
         splats.scales[rows],
         splats.opacities[rows],
-        splats.normals[rows],
+        features,
         view.world_to_camera,
         view.intrinsics,
         width,
@@ -106,7 +102,6 @@ def back_normals(splats: Splats, view: View, backend: str) -> tuple[torch.Tensor
         backend=backend,
         screen_filter=SCREEN_FILTER,
     )
-    return unit(raster.features.reshape(height * width, -1)[view.pixels]), raster.alpha.reshape(-1)[view.pixels]
 
 
 def render_view(

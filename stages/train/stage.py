@@ -31,7 +31,10 @@ def needed(capture: Capture, parameters: TrainParameters) -> Decision:
     }[mode]
     angles = Decision(bool(unknown), ", ".join(map(told, unknown)) if unknown else "no unknown polariser angle")
     occlusion = Decision(parameters.occlusion, "decided from the trained shape" if parameters.occlusion else "switched off")
-    passes = {"polarisation_loss": polarised, "polariser_angles": angles, "occlusion": occlusion}
+    why = "switched on" if parameters.recesses == "on" else "full Stokes tells hollows from the hull"
+    why_not = "switched off" if parameters.recesses == "off" else "only full Stokes is evidence enough"
+    recesses = Decision(True, why) if parameters.searches_recesses(mode) else Decision(False, why_not)
+    passes = {"polarisation_loss": polarised, "polariser_angles": angles, "occlusion": occlusion, "recesses": recesses}
     return Decision(True, f"{len(capture.views)} views of one object", passes)
 
 

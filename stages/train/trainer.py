@@ -31,7 +31,8 @@ from .surface_losses import SurfaceWeights, surface_loss
 REFRESH = 100  # steps between rebuilding the surface graph
 CYCLE = 2 * REFRESH  # steps between densification, tracing and checkpoints: nothing traced has to be saved then
 RECESS_AT = (400, 600, 800)  # steps, multiples of CYCLE, before which hollows are looked for: the light must be about right
-LEAST_RECESS = 0.015  # share of the surface below which what is found counts as noise, and is not looked for again
+LEAST_RECESS = 0.015  # share of the surface below which what is found counts as noise, and is not looked for again: a
+# teapot's reflections in itself fake up to 0.014, real webs were 0.075 and more
 OCCLUSION_FROM = 200  # steps before the first tracing: the light and the albedo must mean something
 RECESS_UNTIL = 0.6  # share of the run after which there is no time left to settle
 DENSIFY_UNTIL = 0.6  # share of the run after which the splats stay as they are
@@ -121,13 +122,17 @@ class Trainer:
             return
         if self.iteration > 0 and self.densify():
             self.scene.graph = build_graph(model["position"], model["normal"])
-        p = self.parameters
-        wanted = p.recesses == "on" or (p.recesses == "auto" and self.mode == "stokes")
-        looking = wanted and self.iteration in RECESS_AT and self.iteration <= RECESS_UNTIL * p.iterations
-        if looking and (not self.recessed or self.recessed[-1] >= LEAST_RECESS):
-            self.recess()
-        if self.parameters.occlusion and self.iteration >= OCCLUSION_FROM:
+        traces = self.parameters.occlusion and self.iteration >= OCCLUSION_FROM
+        if traces:
             self.trace()
+        if self.looks_for_recesses() and self.recess() and traces:
+            self.trace()
+
+    def looks_for_recesses(self) -> bool:
+        """Whether a search is due: the data can tell, there is time to settle, and the last search was not in vain."""
+        p = self.parameters
+        due = self.iteration in RECESS_AT and self.iteration <= RECESS_UNTIL * p.iterations
+        return p.searches_recesses(self.mode) and due and (not self.recessed or self.recessed[-1] >= LEAST_RECESS)
 
     def densify(self) -> bool:
         """Remove what does not show, then add where the images pull hardest, up to the bound; whether it is still time."""
@@ -145,16 +150,17 @@ class Trainer:
         return p.densify and done <= DENSIFY_UNTIL
 
     @torch.no_grad()
-    def recess(self) -> None:
-        """Look for hollows that no silhouette shows, and move the surface into them; the splats elsewhere stay."""
+    def recess(self) -> bool:
+        """Look for hollows that no silhouette shows, and move the surface into them; whether any splat made way.
+
+        The splats elsewhere stay. What the object hides from itself must have been traced on the surface as it is.
+        """
         from .recess.explanation import shading_tables
         from .recess.hollow import DepthField, hollowed
         from .recess.images import view_images
         from .recess.refit import refit
         from .recess.search import surface_depths
 
-        if self.parameters.occlusion:
-            self.trace()
         model, p, graph = self.scene.model, self.parameters, self.scene.graph
         assert graph is not None
         carried = carried_hull(self.scene.hull, model)
@@ -167,15 +173,15 @@ class Trainer:
         found = surface_depths(surface, images, shading, points, albedo, p.seed)
         self.recessed.append(found.share)
         if found.share < LEAST_RECESS:
-            return
+            return False
         field = DepthField(found.points, found.depths)
         hollow = hollowed(surface, field)
-        if hollow is None:
-            return
-        if refit(model, self.adam, field, hollow, graph.spacing, p.max_splats, p.seed):
-            self.scene.hull = hollow
-            self.scene.graph = build_graph(model["position"], model["normal"])
-            self.activity = Activity.empty(len(model), model["position"].device)
+        if hollow is None or refit(model, self.adam, field, hollow, graph.spacing, p.max_splats, p.seed) is None:
+            return False
+        self.scene.hull = hollow
+        self.scene.graph = build_graph(model["position"], model["normal"])
+        self.activity = Activity.empty(len(model), model["position"].device)
+        return True
 
     @torch.no_grad()
     def trace(self) -> None:

@@ -129,6 +129,7 @@ def test_splats_on_untouched_ground_survive_a_refit_bit_for_bit():
     hollow = hollowed(mesh, field, 64)
     assert hollow is not None
     new = refit(model, adam, field, hollow, spacing=0.09, room=1600, seed=0)
+    assert new is not None
     kept = len(model) - new
     assert new > 20 and len(model) <= 1600
     far = before["position"][:, 2] < 0.7

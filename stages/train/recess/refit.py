@@ -19,8 +19,9 @@ COVERED = 0.8  # of the spacing: a new splat nearer to an old one than this woul
 @torch.no_grad()
 def refit(
     model: SplatModel, adam: SurfaceAdam, field: DepthField, hollow: HullMesh, spacing: float, room: int, seed: int
-) -> int:
-    """Replace, in place, the splats over hollows by samples of the hollowed surface; returns how many are new.
+) -> int | None:
+    """Replace, in place, the splats over hollows by samples of the hollowed surface; returns how many are new,
+    or None where hardly any splat would stay: nothing is changed then.
 
     spacing: wanted distance between neighbours; room: upper bound of the model's size afterwards. New splats take albedo
     and material from the nearest that stays; afterwards every splat's anchor is where it is now.
@@ -31,7 +32,7 @@ def refit(
     stays = field.at(positions) <= 0
     rows = torch.as_tensor(np.flatnonzero(stays), device=device)
     if len(rows) < 10:
-        return 0
+        return None
     tree = cKDTree(positions[stays])
     wanted = int(mesh_area(hollow) * 2 / np.sqrt(3) / spacing**2)
     samples = sample_evenly(hollow, max(wanted, 100), np.random.default_rng(seed))
