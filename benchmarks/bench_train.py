@@ -36,6 +36,7 @@ ABLATIONS: dict[str, dict[str, Any]] = {
     "Schlick": {"fresnel": "schlick"},
     "GGX lobe": {"lobe": "ggx"},
     "no occlusion": {"occlusion": False},
+    "no recesses": {"recesses": "off"},
     "environment 16": {"environment_resolution": 16},
     "environment 64": {"environment_resolution": 64},
 }
