@@ -11,7 +11,7 @@ from typing import Any
 
 import torch
 
-from .optimiser import BETA1, BETA2, EPSILON
+from .optimiser import adam_update
 
 RATE = 1e-2  # log units a step at most: a start wrong by a factor of two is mended within a hundred steps
 MOST_ALBEDO = 0.9  # nearer to 1 a sigmoid hardly moves: its share of the exchange stops growing there
@@ -37,10 +37,7 @@ class Exchange:
             self.moments = torch.zeros(2, 3, device=gradient.device)
         self.steps += 1
         first, second = self.moments
-        first.lerp_(gradient, 1 - BETA1)
-        second.mul_(BETA2).addcmul_(gradient, gradient, value=1 - BETA2)
-        size = (second / (1 - BETA2**self.steps)).sqrt() + EPSILON
-        g = -RATE * rate_scale * first / (1 - BETA1**self.steps) / size
+        g = -RATE * rate_scale * adam_update(first, second, gradient, self.steps)
         environment.add_(g)
         albedo.sub_(share * g)
 

@@ -13,6 +13,21 @@ BETA1, BETA2 = 0.9, 0.99  # a short run: 0.999 would still remember the first th
 EPSILON = 1e-12  # gradients here are means over pixels and splats, often 1e-8: a usual 1e-8 would stop the quiet ones
 
 
+def adam_update(
+    first: torch.Tensor, second: torch.Tensor, gradient: torch.Tensor, steps: int, together: bool = False
+) -> torch.Tensor:
+    """Adam's step for a unit learning rate (Kingma and Ba 2015, Alg. 1); updates both moments in place.
+
+    `steps` counts this one. `together`: rows share one step length, which keeps the direction of vectors.
+    """
+    first.lerp_(gradient, 1 - BETA1)
+    second.mul_(BETA2).addcmul_(gradient, gradient, value=1 - BETA2)
+    scale = second / (1 - BETA2**steps)
+    if together:
+        scale = scale.mean(-1, keepdim=True)
+    return first / (1 - BETA1**steps) / (scale.sqrt() + EPSILON)
+
+
 @dataclass(frozen=True)
 class Group:
     """How one tensor is stepped: base learning rate, and diffusion rounds of its update over the surface graph."""
@@ -55,13 +70,8 @@ class SurfaceAdam:
                 self.second[name] = torch.zeros_like(tensor)
                 self.steps[name] = 0
             self.steps[name] += 1
-            m, v, t = self.first[name], self.second[name], self.steps[name]
-            m.lerp_(gradient, 1 - BETA1)
-            v.mul_(BETA2).addcmul_(gradient, gradient, value=1 - BETA2)
-            scale = v / (1 - BETA2**t)
-            if group.diffusion and scale.ndim > 1:
-                scale = scale.mean(-1, keepdim=True)  # one step length per splat keeps vectors' directions
-            update = m / (1 - BETA1**t) / (scale.sqrt() + EPSILON)
+            together = bool(group.diffusion) and gradient.ndim > 1
+            update = adam_update(self.first[name], self.second[name], gradient, self.steps[name], together)
             rounds = round(group.diffusion * diffusion_scale)
             if rounds and graph is not None and update.shape[0] == len(graph):
                 flat = update.reshape(len(update), -1)
