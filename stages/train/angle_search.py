@@ -21,7 +21,7 @@ from .environment import Environment
 from .model import SplatModel
 from .parameters import TrainParameters
 from .polarisers import PolariserBank
-from .setup import MEAN_EXPOSED, START_ALBEDO, Start, prepare_training
+from .setup import MEAN_EXPOSED, NO_POINTS, START_ALBEDO, Start, prepare_training
 from .trainer import Scene, Trainer
 
 SPACING_DEG = 45.0  # between starts: every angle is within 22.5 degrees of one, where cos 2t keeps its sign
@@ -66,10 +66,11 @@ def search_angles(
     up: str,
     parameters: TrainParameters,
     progress: Progress,
+    points: np.ndarray = NO_POINTS,
 ) -> dict[str, float]:
     """Best angles (degrees) of the unknown polarisers."""
     small = replace(parameters, **SMALL)  # type: ignore[arg-type]
-    start = prepare_training(sources, "polarisers", priors, up, small, "cpu")
+    start = prepare_training(sources, "polarisers", priors, up, small, "cpu", points)
     candidates = [Candidate(angles, _trainer(start, priors, angles, small)) for angles in starts(unknown, parameters.seed)]
     total = _total_steps(len(candidates))
     with progress.bar("finding the polarisers", total=total, unit="steps") as bar:

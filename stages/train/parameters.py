@@ -22,6 +22,9 @@ class TrainParameters:
     recesses: Literal["auto", "on", "off"] = _p(
         "auto", "look for hollows that no silhouette shows, by what the images agree on at other depths; auto: with full Stokes"
     )
+    start: Literal["auto", "hull", "points"] = _p(
+        "auto", "start from the masks' visual hull or from sparse points of the poses stage (inside it); auto: the better"
+    )
     start_fraction: float = _p(0.8, "share of max_splats to start with; the rest is for densification (fraction)")
     splat_pixels: float = _p(0.9, "wanted distance between neighbouring Gaussians (pixels of the training images)")
     hull_resolution: int = _p(112, "voxels along the longest side of the visual hull (count)")
@@ -43,6 +46,7 @@ class TrainParameters:
     occlusion: bool = _p(True, "trace self-shadowing and one bounce where the object occludes itself")
 
     weight_rgb: float = _p(1.0, "weight of the radiance loss L_rgb (Eq. 10)")
+    weight_dssim: float = _p(0.0, "share of structural dissimilarity in L_rgb; the rest is pixelwise (fraction)")
     weight_polarisation: float = _p(4.0, "weight of the Stokes loss relative to the radiance loss (lambda 1)")
     weight_mask: float = _p(0.4, "weight of the mask loss (lambda 2)")
     weight_depth_normal: float = _p(0.06, "weight of the agreement of normals with positions (lambda 3)")
@@ -56,6 +60,8 @@ class TrainParameters:
             raise ValueError("environment_resolution must be 8, 16, 32, 64 or 128")
         if not 0.3 <= self.splat_pixels <= 10:
             raise ValueError("splat_pixels must lie between 0.3 and 10")
+        if not 0 <= self.weight_dssim <= 1:
+            raise ValueError("weight_dssim must lie between 0 and 1")
         if self.max_splats < 100:
             raise ValueError("max_splats must be at least 100")
 

@@ -22,9 +22,10 @@ from pipeline.progress import Bar
 from . import checkpoint, export
 from .angle_search import search_angles
 from .data import SourceView, View, load_sources, prepare
+from .initialise.points import read_points
 from .parameters import TrainParameters
 from .render import back_normals
-from .setup import Start, prepare_training
+from .setup import NO_POINTS, Start, prepare_training
 from .trainer import CYCLE, Trainer
 
 if TYPE_CHECKING:
@@ -51,8 +52,10 @@ def train(stage: StageRun) -> None:
     started = time.monotonic()
     inputs = stage.inputs
     sources, mode = load_sources(frames_folder(inputs), inputs["poses"], inputs.get("masks"), parameters.polarisation)
-    start = prepare_training(sources, mode, stage.capture.polarisers, stage.capture.up, parameters, stage.device)
-    find_polarisers(start, sources, stage)
+    points = read_points(inputs["poses"] / "points.ply")
+    start = prepare_training(sources, mode, stage.capture.polarisers, stage.capture.up, parameters, stage.device, points)
+    tell_start(start, stage)
+    find_polarisers(start, sources, stage, points)
     backend = "cuda" if stage.device.startswith("cuda") else "cpu"
     trainer = Trainer(start.scene, start.pyramids, mode, start.frame, parameters, backend)
     history = optimise(trainer, stage, started)
@@ -68,7 +71,16 @@ def train(stage: StageRun) -> None:
     checkpoint.clear(stage.scratch)
 
 
-def find_polarisers(start: Start, sources: list[SourceView], stage: StageRun) -> None:
+def tell_start(start: Start, stage: StageRun) -> None:
+    """What training starts from, for the plan; a warning where everything in the pictures counts as the object."""
+    facts = start.facts
+    stage.note("start_from_points", {"run": facts.points, "reason": facts.reason})
+    if not facts.masked and not facts.points:
+        remedy = "make masks (masks.method) or find points (poses.triangulate)"
+        stage.warn(f"neither masks nor points: everything in view of half the cameras is taken for the object; {remedy}")
+
+
+def find_polarisers(start: Start, sources: list[SourceView], stage: StageRun, points: np.ndarray = NO_POINTS) -> None:
     """Start values for polariser angles of which nothing is known (a resumed run has them already)."""
     bank = start.scene.bank
     if bank is None or checkpoint.load(stage.scratch) is not None:
@@ -76,7 +88,7 @@ def find_polarisers(start: Start, sources: list[SourceView], stage: StageRun) ->
     unknown = [name for name, settled in zip(bank.names, bank.settled) if not settled]
     if unknown:
         priors, up = stage.capture.polarisers, stage.capture.up
-        for name, angle in search_angles(sources, priors, unknown, up, stage.parameters, stage.progress).items():
+        for name, angle in search_angles(sources, priors, unknown, up, stage.parameters, stage.progress, points).items():
             bank.set_angle(name, float(np.radians(angle)))
 
 

@@ -24,8 +24,10 @@ from .data import (
 )
 from .environment import Environment
 from .frame import SceneFrame
-from .initialise.hull import HullMesh, Silhouette, visual_hull
+from .initialise.hull import HullMesh, Silhouette
+from .initialise.outline import are_masks, outline
 from .initialise.sampling import mesh_area, sample_evenly, wanted_count
+from .initialise.start import start_surface
 from .model import SplatModel, logit
 from .parameters import TrainParameters
 from .polarisers import PolariserBank
@@ -33,6 +35,16 @@ from .trainer import Scene
 
 START_ALBEDO, START_ROUGHNESS, START_IOR = 0.35, 0.35, 1.5  # an everyday dielectric
 MEAN_EXPOSED = 0.25  # mean foreground radiance in the training exposure
+NO_POINTS = np.zeros((0, 3))
+
+
+@dataclass(frozen=True)
+class StartFacts:
+    """Whether sparse points shaped the start, why (not), and whether the pictures came with masks."""
+
+    points: bool
+    reason: str
+    masked: bool
 
 
 @dataclass(frozen=True)
@@ -45,6 +57,7 @@ class Start:
     hull: HullMesh  # in the training frame
     black_background: bool
     pixel: float  # a full-size pixel's width on the object, training units
+    facts: StartFacts
 
 
 def prepare_training(
@@ -54,14 +67,24 @@ def prepare_training(
     up: str,
     parameters: TrainParameters,
     device: str,
+    points: np.ndarray = NO_POINTS,
 ) -> Start:
-    """Hull, splats, environment, polarisers and views in the training frame. Test views enter nowhere here."""
+    """Hull, splats, environment, polarisers and views in the training frame. Test views enter nowhere here.
+
+    `points` [N, 3]: the poses stage's sparse points, if any, in the capture's world.
+    """
     sources = with_validation(sources, parameters.validation_every)
     seen = [s for s in sources if s.split != "test"]
+    masked = are_masks([s.mask for s in seen])
     black = background_is_black(seen)
     offset = edge_offset(seen) if black else 0.0
     silhouettes = [Silhouette(s.camera, s.mask) for s in seen if (s.mask > 0.5).any()]
-    hull, centre, half = visual_hull(silhouettes, parameters.hull_resolution, offset)
+    begun = start_surface(silhouettes, points, parameters.start, masked, parameters.hull_resolution, offset)
+    hull, centre, half = begun.mesh, begun.centre, begun.half
+    if begun.points and not masked:  # what the points' surface covers is the object
+        sources = [replace(s, mask=outline(hull, s.camera)) for s in sources]
+        seen = [s for s in sources if s.split != "test"]
+        black = background_is_black(seen)
     exposure = exposure_of(seen) * (1.0 if mode != "polarisers" else 0.5)
     frame = replace(SceneFrame.of(up, centre, half), exposure=exposure)
     hull = HullMesh(
@@ -81,7 +104,8 @@ def prepare_training(
         levels.append([halved(s) for s in sources])
     openings = has_openings(seen, frame.exposure)
     pyramids = [[prepare(s, frame, black, device, openings) for s in level if s.split != "test"] for level in levels]
-    return Start(Scene(model, environment, bank, hull), pyramids, frame, hull, black, pixel)
+    found = StartFacts(begun.points, begun.reason, masked)
+    return Start(Scene(model, environment, bank, hull), pyramids, frame, hull, black, pixel, found)
 
 
 def _pixel_width(source: SourceView, frame: SceneFrame) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +13,8 @@ from pipeline.errors import UserError
 
 JUDGES = 0.5  # share of the views that must have a point in frame: a hull seen by less is the views' blind spot
 SMALLEST_PART = 0.02  # parts with less than this share of the largest part's volume are carving debris
+
+Carve = Callable[[np.ndarray, np.ndarray], np.ndarray]  # points [M, 3], signed distance to the hull [M]: a smaller one [M]
 
 
 @dataclass(frozen=True)
@@ -104,20 +106,25 @@ def _grid(low: np.ndarray, high: np.ndarray, spacing: float) -> tuple[np.ndarray
 
 
 def visual_hull(
-    silhouettes: Sequence[Silhouette], resolution: int, offset: float = 0.0, outvoted: int = 0
+    silhouettes: Sequence[Silhouette], resolution: int, offset: float = 0.0, outvoted: int = 0, carve: Carve | None = None
 ) -> tuple[HullMesh, np.ndarray, float]:
     """The hull's mesh and its bounding box's centre [3] and largest half extent.
 
-    `resolution`: voxels along the longest side. `offset`: pixels by which the object exceeds its masks.
-    Raises UserError where the masks have no common object.
+    `resolution`: voxels along the longest side. `offset`: pixels by which the object exceeds its masks. `carve`: what else is
+    known about the surface. Raises UserError where the masks have no common object.
     """
     from skimage.measure import marching_cubes
 
     distances = [signed_distance(s.mask, offset) for s in silhouettes]
+
+    def field(points: np.ndarray) -> np.ndarray:
+        own = occupancy(silhouettes, distances, points, outvoted)
+        return own if carve is None else carve(points, own)
+
     centre, half = bounds(silhouettes)
     half *= 1.3
     coarse, coarse_shape = _grid(centre - half, centre + half, 2 * half / 40)
-    near = without_debris(occupancy(silhouettes, distances, coarse, outvoted).reshape(coarse_shape))
+    near = without_debris(field(coarse).reshape(coarse_shape))
     kept = coarse[near.ravel() > -2 * half / 40]
     if len(kept) < 2 or (near > 0).sum() < 2:
         raise UserError("masks", "they have no object in common", "check the masks, the cameras and their pairing")
@@ -129,7 +136,7 @@ def visual_hull(
     lookup = ndimage.map_coordinates(near, ((points - (centre - half)) / (2 * half / 40)).T, order=1, mode="nearest")
     band = np.abs(lookup) < 4 * half / 40
     values = lookup.astype(np.float32)
-    values[band] = occupancy(silhouettes, distances, points[band], outvoted)
+    values[band] = field(points[band])
     volume = ndimage.gaussian_filter(values.reshape(shape), 0.8)
     volume = without_debris(np.pad(volume, 1, constant_values=-spacing))
     if not (volume > 0).any():
