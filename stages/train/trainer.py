@@ -26,6 +26,7 @@ from .parameters import TrainParameters
 from .polarisers import AngleSums, PolariserBank, fit_angle
 from .render import Rendered, rasterise_view, render_view
 from .schedule import Phase, epoch_order, phase_at
+from .structure import dssim
 from .surface_losses import SurfaceWeights, surface_loss
 
 REFRESH = 100  # steps between rebuilding the surface graph
@@ -280,13 +281,22 @@ class Trainer:
         start = int(p.iterations * (1 - p.consolidate_fraction))
         self.iteration = max(self.iteration, start // CYCLE * CYCLE)
 
+    def radiance_terms(self, view: View, predicted: torch.Tensor, target: torch.Tensor) -> dict[str, torch.Tensor]:
+        """L_rgb of [P, 3] radiance: (1 - w) times the pixelwise loss and w times the structural one, as its two terms."""
+        p, share = self.parameters, self.parameters.weight_dssim
+        terms = {"rgb": p.weight_rgb * (1 - share) * losses.radiance_loss(predicted, target, view.colour_weight)}
+        if share > 0 and len(view.pixels):
+            unlike = dssim(losses.encode(predicted), losses.encode(target), view.pixels, view.size)
+            terms["dssim"] = p.weight_rgb * share * unlike
+        return terms
+
     def measured_terms(self, view: View, rendered: Rendered) -> dict[str, torch.Tensor]:
         """Radiance and polarisation losses, as the data allow."""
         p, weight = self.parameters, view.colour_weight
         if self.mode == "polarisers" and self.scene.bank is not None:
             predicted = self.scene.bank.intensity(rendered.stokes, view.camera.name)
-            return {"rgb": p.weight_rgb * losses.radiance_loss(predicted, 2 * view.target[:, 0], weight)}
-        terms = {"rgb": p.weight_rgb * losses.radiance_loss(rendered.stokes[:, 0], view.target[:, 0], weight)}
+            return self.radiance_terms(view, predicted, 2 * view.target[:, 0])
+        terms = self.radiance_terms(view, rendered.stokes[:, 0], view.target[:, 0])
         if self.mode == "stokes" and p.weight_polarisation > 0:
             scale = p.weight_polarisation * POLARISATION_SCALE
             terms["polarisation"] = scale * losses.stokes_loss(rendered.stokes, view.target, weight)
