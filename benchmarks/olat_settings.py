@@ -10,7 +10,7 @@ import numpy as np
 
 from stages.olat.columns import columns
 from stages.olat.run import GAIN, MIXED, PRIOR
-from stages.olat.workspace import Settings
+from stages.olat.settings import Settings
 
 AT = columns()
 SETTINGS = Settings(

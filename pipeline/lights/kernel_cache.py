@@ -13,28 +13,28 @@ FOLDERS = ("pipeline/lights", "stages/olat")  # kernels that call one another ac
 
 
 @functools.cache
-def folder() -> Path | None:
-    """The folder named after the sources of these kernels; None where NUMBA_CACHE_DIR says where, or it cannot be written."""
-    if os.environ.get("NUMBA_CACHE_DIR"):
-        return None
+def sources() -> str:
+    """Digest of the sources of these kernels."""
     digest = hashlib.sha256()
     for name in FOLDERS:
         for path in sorted((ROOT / name).glob("*.py")):
             source = path.read_bytes()
-            if b"@njit" in source:
+            if b"\nfrom numba" in source:
                 digest.update(source)
-    target = Path(__file__).parent / "__pycache__" / f"kernels-{digest.hexdigest()[:12]}"
+    return digest.hexdigest()[:12]
+
+
+@functools.cache
+def folder() -> Path | None:
+    """The folder named after the sources of these kernels; None where NUMBA_CACHE_DIR says where, or it cannot be written."""
+    if os.environ.get("NUMBA_CACHE_DIR"):
+        return None
+    target = Path(__file__).parent / "__pycache__" / f"kernels-{sources()}"
     try:
         target.mkdir(parents=True, exist_ok=True)
     except OSError:
         return None
     return target if os.access(target, os.W_OK) else None
-
-
-def compiled(name: str) -> bool:
-    """Whether a kernel (`file.function`) was compiled before, as far as one can tell."""
-    place = folder() or os.environ.get("NUMBA_CACHE_DIR")
-    return bool(place) and any(Path(str(place)).glob(f"**/{name}*.nbc"))
 
 
 def keep_fresh() -> None:

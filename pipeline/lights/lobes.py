@@ -19,10 +19,8 @@ import math
 import numpy as np
 from numba import njit
 
+from pipeline.lights.lobe_names import BECKMANN, PRINTED, PRINTED_COSINE, WARD
 from pipeline.lights.numerics import FAST, FOUR, HALF, ONE, TINY, TWO, ZERO, exp
-
-WARD, BECKMANN, PRINTED, PRINTED_COSINE = 0, 1, 2, 3
-LOBES = {"ward": WARD, "beckmann": BECKMANN, "printed": PRINTED, "printed-cosine": PRINTED_COSINE}
 
 INVERSE_4PI = 1.0 / (4.0 * math.pi)
 VIEW_FLOOR = 0.01  # n·o below it (0.6 degrees from grazing) is held there: 1/(n·o) would run away

@@ -100,7 +100,7 @@ def render_maps(
 
     spacing (rad): angle that each light stands for; lobes narrower than it are widened to it.
     """
-    from pipeline.lights.lobes import LOBES
+    from pipeline.lights.lobe_names import LOBES
     from pipeline.lights.render import render_pixels
 
     folder = Path(maps_folder)

@@ -1,103 +1,80 @@
-"""Many pixels at once, over threads; samples are turned from frame order to pixel order on the way.
+"""Many pixels at once, over threads.
 
-Threads of our own, not numba's: the kernels release the interpreter's lock, cameras may be fitted side by side, and a parallel
+Threads of our own, not numba's: the kernel releases the interpreter's lock, cameras may be fitted side by side, and a parallel
 region would be compiled a second time.
 """
 
 from __future__ import annotations
 
-import math
 import os
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
-from numba import njit, types
-from numba.extending import overload
+from numpy.typing import NDArray
 
+from pipeline.capture.model import LightTable
+from pipeline.lights import native
 from stages.olat.columns import WIDTH
-from stages.olat.pixel import fit_pixel
-from stages.olat.workspace import Settings, make_room
+from stages.olat.settings import ROOM, Settings
 
-CHUNK = 16  # pixels: 96 contiguous bytes of a half-float frame, and a chunk's samples stay in the L2 cache
 SHARE = 256  # pixels that a thread takes at a time
+ARGUMENTS = ("int64",) * 5 + ("pointer",) * 14
 
 
-def half_table() -> np.ndarray:
+def half_table() -> NDArray[np.float32]:
     """float32 [65536]: the value of every half float by its bits."""
     return np.arange(65536, dtype=np.uint16).view(np.float16).astype(np.float32)
 
 
-def value(sample, table):
-    """A stored sample as a number: half floats (uint16 bits) by table, floats as they are."""
-    return table[sample] if isinstance(sample, np.uint16) else sample
+def ready(half: bool, precision: str) -> bool:
+    """Whether the kernel for frames of half floats, or of floats, was compiled before."""
+    return native.compiled(_name("uint16" if half else "float32", precision))
 
 
-@overload(value, inline="always")
-def _value(sample, table):
-    if isinstance(sample, types.Integer):
-        return lambda sample, table: table[sample]
-    return lambda sample, table: sample
+def load(half: bool, precision: str) -> None:
+    """Load that kernel; compile it where it was not."""
+    _kernel("uint16" if half else "float32", precision)
 
 
-@njit(cache=True, error_model="numpy")
-def _near(point, positions, intensity, w, energy):
-    """Directions [3, N] and relative irradiance [N] at `point` from lights at `positions` [N, 3] (inverse square)."""
-    for k in range(positions.shape[0]):
-        x, y, z = positions[k, 0] - point[0], positions[k, 1] - point[1], positions[k, 2] - point[2]
-        square = x * x + y * y + z * z
-        size = math.sqrt(square)
-        w[0, k], w[1, k], w[2, k] = x / size, y / size, z / size
-        centre = positions[k, 0] ** 2 + positions[k, 1] ** 2 + positions[k, 2] ** 2
-        energy[k] = intensity[k] * centre / square
+def _name(sample: str, precision: str) -> str:
+    return f"fit-{sample}-{precision}"
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def fit_pixels(first, last, cross, parallel, table, view, points, directions, positions, area, intensity, settings, out, norms):
-    """Fit pixels [first, last).
+def _kernel(sample: str, precision: str) -> native.Kernel:
+    def build() -> tuple[str, bytes]:
+        from stages.olat.kernel import build as compile_kernel  # loads numba
 
-    cross, parallel [N, P, 3]: half-float bits (uint16) or floats; view float64 [P, 3]: to the camera; points [P, 3]: where each
-    pixel's surface is (for near lights; [0, 3] means distant lights); directions [3, N], positions float64 [N, 3],
-    area, intensity [N]. `out` float64 [P, WIDTH] and `norms` [P, 2] (specular gradient norm, passes) are filled.
+        return compile_kernel(sample, precision)
+
+    return native.kernel(_name(sample, precision), ARGUMENTS, build)
+
+
+def fit(
+    cross: NDArray, parallel: NDArray, view: NDArray, rig: LightTable, settings: Settings, precision: str = "float32",
+    points: NDArray | None = None, threads: int | None = None,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:  # fmt: skip
+    """Fit the pixels of samples [N, P, 3] (half-float bits or floats) under a `LightTable` with solid angles.
+
+    view [P, 3]: unit, to the camera; points [P, 3]: where each pixel's surface is, for near lights. Returns rows float64
+    [P, WIDTH] and norms [P, 2] (specular gradient norm, passes). The result does not depend on the number of threads.
     """
-    count = cross.shape[0]
-    near = points.shape[0] > 0
-    room = make_room(count, area)
-    x = np.empty((CHUNK, 3, count), area.dtype)
-    y = np.empty((CHUNK, 3, count), area.dtype)
-    w, energy = directions, intensity
-    if near:
-        w, energy = np.empty_like(directions), np.empty_like(intensity)
-    for start in range(first, last, CHUNK):
-        width = min(CHUNK, last - start)
-        for k in range(count):
-            for p in range(width):
-                for c in range(3):
-                    x[p, c, k] = value(cross[k, start + p, c], table)
-                    y[p, c, k] = value(parallel[k, start + p, c], table)
-        for p in range(width):
-            at = start + p
-            if near:
-                _near(points[at], positions, intensity, w, energy)
-            norms[at, 0], norms[at, 1] = fit_pixel(x[p], y[p], w, view[at], area, energy, settings, room, out[at])
-
-
-def fit(cross, parallel, view, rig, settings: Settings, precision: str = "float32", points=None, threads: int | None = None):
-    """`fit_pixels` over threads, on samples [N, P, 3] under a `LightTable` with solid angles.
-
-    Returns rows float64 [P, WIDTH] and norms [P, 2]. The result does not depend on the number of threads.
-    """
-    kind = np.dtype(precision).type
-    pixels = cross.shape[1]
+    kind = np.dtype(precision)
+    count, pixels = cross.shape[:2]
+    stored = cross.dtype if cross.dtype == np.uint16 or cross.itemsize < kind.itemsize else kind
     out, norms = np.zeros((pixels, WIDTH)), np.zeros((pixels, 2))
-    arguments = (
-        np.ascontiguousarray(cross), np.ascontiguousarray(parallel), half_table(),
-        np.ascontiguousarray(view, np.float64),
-        np.zeros((0, 3)) if points is None else np.ascontiguousarray(points, np.float64),
+    arrays = (
+        np.ascontiguousarray(cross, stored), np.ascontiguousarray(parallel, stored), half_table(),
+        np.ascontiguousarray(view, np.float64), np.ascontiguousarray(view if points is None else points, np.float64),
         np.ascontiguousarray(rig.directions.T, kind), np.ascontiguousarray(rig.positions, np.float64),
-        np.ascontiguousarray(rig.solid_angle, kind), np.ascontiguousarray(rig.intensity, kind), settings, out, norms,
+        np.ascontiguousarray(rig.solid_angle, kind), np.ascontiguousarray(rig.intensity, kind), np.array(settings, np.float64),
     )  # fmt: skip
-    starts = range(0, max(pixels, 1), SHARE)  # called for no pixels too: that loads the kernels
+    kernel = _kernel(stored.name, precision)
+
+    def share(start: int) -> None:
+        room, front = np.empty(ROOM * count, kind), np.empty(count, np.int64)
+        addresses = (array.ctypes.data for array in (*arrays, room, front, out, norms))
+        kernel(start, min(start + SHARE, pixels), count, pixels, points is not None, *addresses)
+
     with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
-        for task in [pool.submit(fit_pixels, start, min(start + SHARE, pixels), *arguments) for start in starts]:
-            task.result()
+        list(pool.map(share, range(0, pixels, SHARE)))
     return out, norms

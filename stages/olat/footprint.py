@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from stages.olat.columns import columns
 from stages.olat.frames import Band
-from stages.olat.lobe_fit import ROUND
+from stages.olat.settings import ROUND
 
 LEAST = 0.25  # of a pixel's squared width that the surface keeps: the spread is an estimate of its own
 EDGE = np.cos(np.radians(45.0))  # neighbours that differ more are another surface

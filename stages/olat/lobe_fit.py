@@ -9,7 +9,9 @@ from numba import njit
 
 from pipeline.lights.lobes import values
 from pipeline.lights.numerics import FAST, ZERO, copy1, copy2
-from stages.olat.mixed import DIRECTIONS, concentration, fit_mixed, shape_of
+from pipeline.lights.stack import matrix, vector
+from stages.olat.mixed import LENGTH, concentration, fit_mixed, shape_of
+from stages.olat.settings import ROUND
 from stages.olat.specular import (
     LOBE_FRACTION,
     frame_about,
@@ -21,7 +23,6 @@ from stages.olat.specular import (
 
 RELATIVE = np.float32(0.2)  # of a sample: model error at which the robust weight falls to a quarter
 ABSOLUTE = 0.02  # of the brightest sample: the same for dim samples
-ROUND = 0.03  # anisotropy below which a lobe counts as round
 DISAGREE = math.cos(math.radians(3.0))  # of n_s and n_d: further apart, n_d is tried as a start
 MIXED_MISFIT = 0.05**2  # of the samples' square norm: a lobe that misses more may be several
 NOISE_SLACK = 1.25  # of the noise expected in the misfit: three standard deviations for 350 lights
@@ -30,14 +31,13 @@ ROUND_STEPS, DIRECTED_STEPS = 2, 3  # Levenberg-Marquardt steps between two rewe
 
 
 @njit(cache=True, error_model="numpy")
-def fit_lobe(
-    settings, o, n_d, prior, solved, half, incident, light, floor, use, area, cosine, weight, g, top, noise, frame, shape, rho
-):
+def fit_lobe(settings, o, n_d, prior, solved, half, incident, light, floor, use, area, cosine, weight, g, top, noise,
+             frame, shape, rho, room):  # fmt: skip
     """Fit one pixel's lobe in place on (frame, shape, rho[0]).
 
     half, incident [3, N], light, floor, use, area (sr), cosine (h·o) [N]: the lights before the surface; weight, g [N]:
     workspace, left with the final weights and the lobe's values; top, noise: brightest sample and deviation; prior: strength of
-    the tie to n_d where `solved`, negative where n_d is simply given.
+    the tie to n_d where `solved`, negative where n_d is simply given; room: `workspace.Room`.
     Returns (gradient norm, passes, order of the tangents: 1 where one lobe is kept, less where they mix).
     """
     kind = light.dtype.type
@@ -45,7 +45,7 @@ def fit_lobe(
     level = LOBE_FRACTION * top
     samples = (half, incident, light, floor, use, weight, g)
     round_start(light, use, level, area, half, cosine, frame, shape)
-    frame2, shape2, rho2 = np.empty((3, 3)), np.empty(3), np.empty(1)
+    frame2, shape2, rho2 = matrix(3, 3), vector(3), vector(1)
     stiff = prior < 0 or (solved and prior > 0)
     cost, passes = _rounds(settings, prior, frame, shape, rho, o, n_d, stiff, absolute, True, samples)
     agree = n_d[0] * frame[2, 0] + n_d[1] * frame[2, 1] + n_d[2] * frame[2, 2]
@@ -85,18 +85,18 @@ def fit_lobe(
     miss, data, count = _misfit(g, kind(rho[0]), light, floor, use)
     order = 1.0
     if settings.mixed > 0 and prior >= 0 and miss > MIXED_MISFIT * data + NOISE_SLACK * count * noise * noise:
-        x = np.empty(3 + DIRECTIONS)
+        x = vector(LENGTH)
         copy2(frame, frame2)
         cost = reweight(g, kind(rho[0]), light, use, absolute, RELATIVE, weight)
         tie = _stiffness(prior, g, kind(rho[0]), light, use, weight) if stiff else 0.0
-        trial, trial_weight = np.empty_like(g), np.empty_like(g)
+        trial, trial_weight = room.trial[0, : light.size], room.trial[1, : light.size]
         other, more = fit_mixed(settings.lobe, frame2, x, large, small, angle, rho[0], o, half, incident, light, floor, use,
                                 absolute, RELATIVE, tie, n_d, settings.tolerance, settings.mixed * cost, trial_weight,
-                                trial)  # fmt: skip
+                                trial, room)  # fmt: skip
         passes += more
         total, angle, order2 = concentration(x)
         if other < settings.mixed * cost and total > 0:
-            slope = np.empty((2, 3))
+            slope = matrix(2, 3)
             rho[0], order = total, order2
             copy2(frame2, frame)
             shape_of(x[0], x[1], angle, shape, slope)

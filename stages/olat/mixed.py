@@ -9,15 +9,16 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 from numba import njit
 
+from pipeline.lights import stack
 from pipeline.lights.lobes import jacobian, values
 from pipeline.lights.numerics import FAST, ZERO, cholesky_solve, copy1, copy2
 from stages.olat.specular import hold, reweight, tilt, weighted_square
 
 DIRECTIONS = 8  # 22.5 degrees apart: a quarter more than needed to tell widths of 3 to 1 (6 were measured to do)
 SIZE = 4 + DIRECTIONS
+LENGTH = 3 + DIRECTIONS  # numbers that describe a mixture: log widths, first angle, weights
 STEPS = 12
 ROUNDS = 2
 REACH = 3.2  # widths of one lobe: beyond it the mixture is under 4e-5 of its peak
@@ -51,7 +52,7 @@ def direction(x, j):
 @njit(cache=True, error_model="numpy")
 def _system(lobe, frame, x, o, h, i, light, floor, weight, rows, one, prior, n_d, matrix, gradient):
     """Normal equations [SIZE, SIZE] of the mixture at x = (s1, s2, first angle, weights); returns the cost."""
-    shape, slope = np.empty(3), np.empty((2, 3))
+    shape, slope = stack.vector(3), stack.matrix(2, 3)
     kind = light.dtype.type
     n = light.size
     rows[:4] = ZERO
@@ -107,10 +108,10 @@ def _dot(a, b):
 @njit(cache=True, error_model="numpy")
 def _optimise(lobe, frame, x, o, h, i, light, floor, weight, prior, n_d, tolerance, rows, one):
     """Levenberg-Marquardt in place on (frame, x), weights held at 0 while they want to be negative. Returns passes."""
-    matrix, gradient = np.empty((SIZE, SIZE)), np.empty(SIZE)
-    matrix2, gradient2 = np.empty((SIZE, SIZE)), np.empty(SIZE)
-    system, right, step = np.empty((SIZE, SIZE)), np.empty(SIZE), np.empty(SIZE)
-    x2, frame2 = np.empty_like(x), np.empty((3, 3))
+    matrix, gradient = stack.matrix(SIZE, SIZE), stack.vector(SIZE)
+    matrix2, gradient2 = stack.matrix(SIZE, SIZE), stack.vector(SIZE)
+    system, right, step = stack.matrix(SIZE, SIZE), stack.vector(SIZE), stack.vector(SIZE)
+    x2, frame2 = stack.vector(LENGTH), stack.matrix(3, 3)
     size = weighted_square(light, weight)
     if not size > 0:
         return 0
@@ -163,7 +164,7 @@ def _optimise(lobe, frame, x, o, h, i, light, floor, weight, prior, n_d, toleran
 @njit(cache=True, error_model="numpy")
 def mixed_values(lobe, frame, x, o, h, i, one, g):
     """Radiance per unit irradiance of the mixture, into `g` [N]; `one` [N] is workspace."""
-    shape, slope = np.empty(3), np.empty((2, 3))
+    shape, slope = stack.vector(3), stack.matrix(2, 3)
     g[:] = ZERO
     kind = g.dtype.type
     for j in range(DIRECTIONS):
@@ -176,16 +177,15 @@ def mixed_values(lobe, frame, x, o, h, i, one, g):
 
 
 @njit(cache=True, error_model="numpy")
-def _pack(frame, reach, h, i, light, floor, use):
-    """The lights in use whose half vector lies within `reach` (tangent of the angle from the normal), as new arrays."""
+def _pack(frame, reach, h, i, light, floor, use, chosen, room):
+    """The lights in use whose half vector lies within `reach` (tangent of the angle from the normal), [9, n] in `room`."""
     count = 0
-    chosen = np.empty(light.size, np.int64)
     for k in range(light.size):
         z = h[0][k] * frame[2, 0] + h[1][k] * frame[2, 1] + h[2][k] * frame[2, 2]
         if use[k] > 0 and z > 0 and z * z * (1.0 + reach * reach) > 1.0:
             chosen[count] = k
             count += 1
-    out = np.empty((9, count), light.dtype)
+    out = stack.folded(room, 9, count)
     for n in range(count):
         k = chosen[n]
         out[0, n], out[1, n], out[2, n] = h[0][k], h[1][k], h[2][k]
@@ -196,16 +196,18 @@ def _pack(frame, reach, h, i, light, floor, use):
 
 @njit(cache=True, error_model="numpy")
 def fit_mixed(lobe, frame, x, large, small, angle, rho, o, h, i, light, floor, use, absolute, relative, prior, n_d, tolerance,
-              limit, weight, g):  # fmt: skip
+              limit, weight, g, room):  # fmt: skip
     """Fit the mixture from one lobe (large, small, angle, rho), in place on (frame, x [3 + DIRECTIONS]).
 
     weight, g [N] are left with the robust weights and the mixture's values. Ends early when the first round does not
     reach `limit`, the cost to beat. Returns (robust cost, passes).
     """
     kind = light.dtype.type
-    near = _pack(frame, REACH * large, h, i, light, floor, use)
+    near = _pack(frame, REACH * large, h, i, light, floor, use, room.front, room.spare)
     n = near.shape[1]
-    rows, one, robust = np.zeros((SIZE, n), light.dtype), np.zeros((6, n), light.dtype), np.empty(n, light.dtype)
+    spare = room.spare[9 * n :]
+    rows, one = stack.folded(spare, SIZE, n), stack.folded(spare[SIZE * n :], 6, n)
+    robust = spare[(SIZE + 6) * n : (SIZE + 7) * n]
     h2, i2 = (near[0], near[1], near[2]), (near[3], near[4], near[5])
     x[0], x[1], x[2] = math.log(large) + 0.15, math.log(small) - 0.3, angle
     for j in range(DIRECTIONS):

@@ -8,8 +8,6 @@ from numba import njit
 
 from pipeline.lights.numerics import ZERO, solve3
 
-JOINT, HALF_VECTOR, CORRELATION = 0, 1, 2
-SPECULAR_FITS = {"joint": JOINT, "half-vector": HALF_VECTOR, "correlation": CORRELATION}
 ROUNDS = 2  # M of Algorithm 1
 GAP = 0.1  # epsilon of Algorithm 1, of the brightest sample
 

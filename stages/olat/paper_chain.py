@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from pipeline.capture.model import LightTable
 from stages.olat.columns import columns
 from stages.olat.fit import half_table
-from stages.olat.workspace import Settings
+from stages.olat.settings import Settings
 from stages.olat.zoo import applies, scaled, solve
 
 FALLBACK = "lbfgs-backtracking"  # where Gauss-Newton does not apply (PRF's own choice for normals)

@@ -9,6 +9,7 @@ from numba import njit
 
 from pipeline.lights.lobes import values
 from pipeline.lights.numerics import FAST, ONE, ZERO
+from pipeline.lights.stack import matrix, vector
 from stages.olat.columns import (
     ALBEDO_D,
     ALBEDO_S,
@@ -29,10 +30,8 @@ from stages.olat.columns import (
     TOO_FEW,
 )
 from stages.olat.diffuse import fit_normal
-from stages.olat.lobe_fit import ROUND, fit_lobe, linear_albedo, round_start
+from stages.olat.lobe_fit import fit_lobe, linear_albedo, round_start
 from stages.olat.paper import (
-    CORRELATION,
-    JOINT,
     correlation,
     correlation_normal,
     gradient_direction,
@@ -41,6 +40,7 @@ from stages.olat.paper import (
     total,
 )
 from stages.olat.separation import separate
+from stages.olat.settings import CORRELATION, JOINT, ROUND
 from stages.olat.specular import LOBE_FRACTION, SIGMA_MAX, frame_about, half_vectors, start_normal, widths
 from stages.olat.visibility import behind, diffuse_maps, printed_maps, specular_maps
 
@@ -239,7 +239,7 @@ def _specular(n, w, o, area, settings, n_d, solved, top_d, room, out):
         return nothing
     if x * o[0] + y * o[1] + z * o[2] < 0.02 and solved:
         x, y, z = n_d
-    frame, shape, rho = np.empty((3, 3)), np.empty(3), np.empty(1)
+    frame, shape, rho = matrix(3, 3), vector(3), vector(1)
     tie, tied = settings.prior, n_d
     if settings.specular_fit == CORRELATION:
         a, b, c, found = correlation_normal(light, use, incident, o)
@@ -261,7 +261,7 @@ def _specular(n, w, o, area, settings, n_d, solved, top_d, room, out):
             weight[j] = use[j]
     else:
         norm, passes, order = fit_lobe(settings, o, tied, tie, solved, half, incident, light, floor, use, areas, cosine, weight,
-                                       g, top, noise, frame, shape, rho)  # fmt: skip
+                                       g, top, noise, frame, shape, rho, room)  # fmt: skip
     rho[0] = linear_albedo(g, light, weight, floor) if order == 1.0 else rho[0]
     large, small, angle = widths(shape)
     if not (math.isfinite(large) and math.isfinite(small) and math.isfinite(rho[0]) and math.isfinite(frame[2, 0])):

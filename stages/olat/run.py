@@ -15,22 +15,20 @@ from numpy.typing import NDArray
 
 from pipeline.cameras import Camera
 from pipeline.capture.model import LightTable
-from pipeline.lights.kernel_cache import compiled
-from pipeline.lights.lobes import LOBES
+from pipeline.lights.lobe_names import LOBES
 from pipeline.lights.solid_angles import solid_angles
 from pipeline.stage import StageRun
 from stages.olat.cameras import PILOT, CameraJob, decoded
 from stages.olat.columns import FLAG, RESIDUAL, columns
 from stages.olat.drift import WARN_PX
-from stages.olat.fit import fit
+from stages.olat.fit import fit, load, ready
 from stages.olat.footprint import with_neighbours
 from stages.olat.frames import Band, Samples
 from stages.olat.maps_out import MapWriter
-from stages.olat.paper import SPECULAR_FITS
 from stages.olat.preview import write_preview
+from stages.olat.settings import SPECULAR_FITS, Settings
 from stages.olat.stage import OlatParameters, every
 from stages.olat.stream import Lanes, Piece
-from stages.olat.workspace import Settings
 
 FLAGS = ("good", "too few lights", "saturated", "black", "no lobe", "bad samples")
 PRIOR = (1 / np.radians(0.5)) ** 2  # n_s and n_d of one surface agree to about half a degree
@@ -52,10 +50,10 @@ def run(stage: StageRun, lanes: Lanes) -> None:
     stage.note("overexposure", {"run": bound, "reason": why if parameters.overexposure != "off" else "overexposure=off"})
     stage.note("lights", {"used": len(rig), "of": len(index["lights"]["directions"])})
     settings = settings_of(parameters, stage.capture.config.olat, float(level) if bound and level is not None else np.inf)
-    if not compiled("fit.fit_pixels"):
+    half = lanes.jobs[0][0].half
+    if not ready(half, parameters.precision):
         stage.progress.say("compiling the fits for this machine (once; about a minute)")
-    none = np.empty((len(rig), 0, 3), np.uint16 if lanes.jobs[0][0].half else np.float32)
-    fit(none, none, np.empty((0, 3)), rig, settings, parameters.precision)  # loads the kernels while the frames are read
+    load(half, parameters.precision)  # while the first band is read
     gc.enable()  # `reading` had switched it off
     pilot, lanes.pieces[0] = _pilot(lanes.pieces[0])
     settings = choose_lobe(stage, pilot, rig, settings)

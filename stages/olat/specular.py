@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 from numba import njit
 
+from pipeline.lights import stack
 from pipeline.lights.lobes import normal_equations
 from pipeline.lights.numerics import FAST, ONE, ZERO, cholesky_solve, copy1, copy2
 
@@ -125,10 +125,10 @@ def optimise(lobe, frame, shape, rho, o, h, i, light, floor, weight, isotropic, 
     light, floor, weight [N]: samples, lower bounds, weights; isotropic: A = B and C = 0; prior: stiffness (in units of the
     weighted square residual) that holds n to `n_d`. Returns (cost over the data's square norm, gradient norm, passes).
     """
-    matrix, gradient = np.empty((6, 6)), np.empty(6)
-    matrix2, gradient2 = np.empty((6, 6)), np.empty(6)
-    system, step = np.empty((6, 6)), np.empty(6)
-    frame2, shape2 = np.empty((3, 3)), np.empty(3)
+    matrix, gradient = stack.matrix(6, 6), stack.vector(6)
+    matrix2, gradient2 = stack.matrix(6, 6), stack.vector(6)
+    system, step = stack.matrix(6, 6), stack.vector(6)
+    frame2, shape2 = stack.matrix(3, 3), stack.vector(3)
     size = weighted_square(light, weight)
     if not size > 0:
         return 0.0, 0.0, 0

@@ -1,4 +1,4 @@
-"""What the kernels need to know, and the arrays they work in."""
+"""The arrays that the kernels work in."""
 
 from __future__ import annotations
 
@@ -7,27 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-
-class Settings(NamedTuple):
-    """What the kernels need to know; plain numbers, so that numba can take it."""
-
-    lobe: int
-    rounds: int  # reweighting rounds of the diffuse fit
-    robust: int  # reweighting rounds of the specular fit (0: plain least squares)
-    steps: int  # Levenberg-Marquardt steps at the end
-    tolerance: float  # gradient norm, data of unit norm, at which a fit ends
-    saturation: float  # radiance from which a sample is clipped (inf: none is)
-    specular_factor: float
-    irradiance: float
-    gain: float  # share of the round lobe's robust cost that an anisotropic one must beat
-    mixed: float  # share of one lobe's robust cost that mixed tangents must beat (0: never tried)
-    prior: float  # strength of the tie of n_s to n_d: inverse square of the angle (rad) they may differ by
-    plain: bool  # diffuse fit without robust weights (PRF Eq. 12)
-    specular_fit: int  # how n_s is found, `paper.SPECULAR_FITS`
-    fuse_correlation: bool  # fuse the normals by correlation (PRF) instead of inverse variance
-    printed_maps: bool  # occlusion and inter-reflection as PRF Eqs. 4 and 5 print them
-    remove: bool  # clipped samples by PRF Algorithm 1 instead of as bounds
-    gradient: bool  # gradient illumination alone (Ma et al. 2007)
+from pipeline.lights.stack import folded
+from stages.olat.settings import ROWS
 
 
 class Room(NamedTuple):
@@ -51,14 +32,17 @@ class Room(NamedTuple):
     lobe: np.ndarray
     incident: np.ndarray  # [3, N]
     half: np.ndarray  # [3, N]
+    trial: np.ndarray  # [2, N] weights and values of a lobe that may be dropped again
+    spare: np.ndarray  # [SPARE N]
 
 
 @njit(cache=True, error_model="numpy")
-def make_room(n, like):
-    """Workspace for `n` lights in the precision of the array `like`."""
-    one = np.zeros((14, n), like.dtype)
+def make_room(n, buffer, front):
+    """Workspace for `n` lights in `buffer` [ROWS n], in its precision, and `front` int64 [n]."""
+    rgb, one = folded(buffer, 3, n), folded(buffer[3 * n :], 14, n)
+    incident, half = folded(buffer[17 * n :], 3, n), folded(buffer[20 * n :], 3, n)
+    trial, spare = folded(buffer[23 * n :], 2, n), buffer[25 * n : ROWS * n]
     return Room(
-        np.zeros((3, n), like.dtype), one[0], one[1], one[2], one[3], one[4], one[5], one[6], one[7],
-        np.zeros(n, np.int64), one[8], one[9], one[10], one[11], one[12], one[13],
-        np.zeros((3, n), like.dtype), np.zeros((3, n), like.dtype),
+        rgb, one[0], one[1], one[2], one[3], one[4], one[5], one[6], one[7], front,
+        one[8], one[9], one[10], one[11], one[12], one[13], incident, half, trial, spare,
     )  # fmt: skip

@@ -7,7 +7,7 @@ from benchmarks.olat_pixels import Pixels, angle_deg, beckmann, make, rig_of, un
 from stages.olat.columns import FLAG, columns
 from stages.olat.fit import fit
 from stages.olat.run import GAIN, MIXED, PRIOR
-from stages.olat.workspace import Settings
+from stages.olat.settings import Settings
 
 pytestmark = pytest.mark.slow  # the kernels' first compilation takes most of a minute
 

@@ -1,0 +1,39 @@
+"""What the kernels are told: plain numbers, and how much room they are given. Importing this loads nothing heavy."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+CHUNK = 16  # pixels turned at a time: 96 contiguous bytes of a half-float frame, and their samples stay in the L2 cache
+SPARE = 9 + 12 + 6 + 1
+"""Numbers a light that a mixture of tangents works in: the lights near its lobe, its derivatives, one lobe's, and weights."""
+ROWS = 3 + 14 + 3 + 3 + 2 + SPARE
+"""Numbers a light in a pixel's workspace."""
+ROOM = 6 * CHUNK + 4 + ROWS
+"""Numbers a light in a thread's workspace: the samples of a chunk, directions and energies of near lights, a pixel's."""
+
+JOINT, HALF_VECTOR, CORRELATION = 0, 1, 2
+SPECULAR_FITS = {"joint": JOINT, "half-vector": HALF_VECTOR, "correlation": CORRELATION}
+ROUND = 0.03  # anisotropy below which a lobe counts as round
+
+
+class Settings(NamedTuple):
+    """What the kernels need to know about a capture and how to fit it."""
+
+    lobe: int
+    rounds: int  # reweighting rounds of the diffuse fit
+    robust: int  # reweighting rounds of the specular fit (0: plain least squares)
+    steps: int  # Levenberg-Marquardt steps at the end
+    tolerance: float  # gradient norm, data of unit norm, at which a fit ends
+    saturation: float  # radiance from which a sample is clipped (inf: none is)
+    specular_factor: float
+    irradiance: float
+    gain: float  # share of the round lobe's robust cost that an anisotropic one must beat
+    mixed: float  # share of one lobe's robust cost that mixed tangents must beat (0: never tried)
+    prior: float  # strength of the tie of n_s to n_d: inverse square of the angle (rad) they may differ by
+    plain: bool  # diffuse fit without robust weights (PRF Eq. 12)
+    specular_fit: int  # how n_s is found, `paper.SPECULAR_FITS`
+    fuse_correlation: bool  # fuse the normals by correlation (PRF) instead of inverse variance
+    printed_maps: bool  # occlusion and inter-reflection as PRF Eqs. 4 and 5 print them
+    remove: bool  # clipped samples by PRF Algorithm 1 instead of as bounds
+    gradient: bool  # gradient illumination alone (Ma et al. 2007)
