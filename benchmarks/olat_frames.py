@@ -69,14 +69,16 @@ def write_capture(root: Path, width: int, height: int, lights: int, disc: float 
 def read_only(root: Path, dataset: Path) -> tuple[float, float]:
     """Wall and processor seconds to read the same bands of the same frames and drop them."""
     from pipeline.images import read_mask
-    from stages.olat.frames import bands_of, read_bands
+    from stages.olat.bands import bands_of
+    from stages.olat.frames import read_bands
     from stages.olat.stage import OlatParameters
 
     entry = json.loads((dataset / "decode" / "current" / "olat.json").read_text())["cameras"]["cam00"]
     cross, parallel = ([root / path for path in entry[key]] for key in ("cross", "parallel"))
-    bands = bands_of(read_mask(root / entry["mask"]), len(cross), OlatParameters().band_mb, 2)
+    mask = read_mask(root / entry["mask"])
+    bands = bands_of(mask, len(cross), OlatParameters().band_mb, 2)
     start, cpu = time.perf_counter(), time.process_time()
-    for _ in read_bands(cross, parallel, bands, True):
+    for _ in read_bands(cross, parallel, bands, (mask.shape[1], mask.shape[0]), True):
         pass
     return time.perf_counter() - start, time.process_time() - cpu
 

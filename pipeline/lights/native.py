@@ -12,6 +12,7 @@ import hashlib
 import importlib.util
 import os
 import tempfile
+import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,7 @@ UNREACHED = ("NRT_MemInfo_call_dtor",)
 UNRELATED = ("NUMBA_CACHE_DIR", "NUMBA_NUM_THREADS", "NUMBA_THREADING_LAYER")
 """Settings of numba that leave machine code as it is."""
 _loaded: dict[str, tuple[Kernel, Any]] = {}
+_loading = threading.Lock()
 
 
 def kernel(name: str, arguments: tuple[str, ...], build: Callable[[], tuple[str, bytes]]) -> Kernel:
@@ -32,15 +34,16 @@ def kernel(name: str, arguments: tuple[str, ...], build: Callable[[], tuple[str,
 
     build: compiles it and returns its symbol and object file (`machine_code`).
     """
-    if name not in _loaded:
-        place = _place(name)
-        found = _read(place) if place is not None else None
-        if found is None:
-            found = build()
-            if place is not None:
-                _keep(place, *found)
-        _loaded[name] = _linked(*found, arguments)
-    return _loaded[name][0]
+    with _loading:  # cameras' readers ask at once
+        if name not in _loaded:
+            place = _place(name)
+            found = _read(place) if place is not None else None
+            if found is None:
+                found = build()
+                if place is not None:
+                    _keep(place, *found)
+            _loaded[name] = _linked(*found, arguments)
+        return _loaded[name][0]
 
 
 def compiled(name: str) -> bool:

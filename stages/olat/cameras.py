@@ -14,7 +14,8 @@ from pipeline.cameras import Camera, camera_from_frame
 from pipeline.errors import UserError
 from pipeline.images import read_mask
 from pipeline.stage import StageRun
-from stages.olat.frames import Band, bands_of, is_half
+from stages.olat.bands import Band, bands_of
+from stages.olat.frames import is_half
 from stages.olat.stage import OlatParameters, every
 
 PILOT = 600  # pixels on which the lobe is chosen

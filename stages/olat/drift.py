@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.olat.frames import Samples, bands_of, read_bands
+from stages.olat.bands import bands_of
+from stages.olat.frames import Samples, read_bands
 
 ALIGN_LIGHTS = 8  # a pass: enough edges to see a shift before the fits
 WARN_PX = 0.5  # a shift that mixes neighbouring pixels
@@ -112,6 +113,7 @@ def measure(
     step = max(1, len(cross) // ALIGN_LIGHTS)
     few = cross[::step], parallel[::step]
     drift = Drift(mask.shape[1], mask.shape[0], 1)
-    for samples in read_bands(*few, bands_of(mask, len(few[0]), band_mb, 2 if half else 4), half):
+    bands = bands_of(mask, len(few[0]), band_mb, 2 if half else 4)
+    for samples in read_bands(*few, bands, (mask.shape[1], mask.shape[0]), half):
         drift.add(samples)
     return drift.shift()

@@ -14,8 +14,8 @@ from collections.abc import Callable, Iterable, Iterator
 import numpy as np
 from numpy.typing import NDArray
 
+from stages.olat.bands import Band
 from stages.olat.columns import columns
-from stages.olat.frames import Band
 from stages.olat.settings import ROUND
 
 LEAST = 0.25  # of a pixel's squared width that the surface keeps: the spread is an estimate of its own

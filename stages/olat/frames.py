@@ -12,19 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import UserError
+from stages.olat.bands import Band, Picked, picked
+from stages.olat.zip_frames import ZipFrames
 
-CHUNK_ROWS = 16  # scanlines that EXR's zip compresses together: a band that splits them reads them twice
 READERS = 2
 T = TypeVar("T")
-
-
-@dataclass(frozen=True)
-class Band:
-    """Scanlines [top, bottom) of a camera and the mask's pixels in them: `pixels` are indices row * width + column."""
-
-    top: int
-    bottom: int
-    pixels: NDArray[np.intp]
 
 
 @dataclass
@@ -34,31 +26,6 @@ class Samples:
     band: Band
     cross: NDArray
     parallel: NDArray
-
-
-def bands_of(mask: NDArray[np.bool_], lights: int, band_mb: float, itemsize: int) -> list[Band]:
-    """Bands of whole compression chunks, each with at most `band_mb` MiB of samples (or one chunk), none empty."""
-    per_pixel = lights * 6 * itemsize / 2**20
-    height, width = mask.shape
-    rows = mask.sum(1)
-    bands: list[Band] = []
-    top = 0
-    while top < height:
-        bottom, count = top, 0
-        while bottom < height:
-            end = min(bottom + CHUNK_ROWS, height)
-            more = int(rows[bottom:end].sum())
-            if bottom > top and (count + more) * per_pixel > band_mb:
-                break
-            if count == 0 and more == 0 and bottom == top:
-                top = bottom = end
-                continue
-            bottom, count = end, count + more
-        if count:
-            pixels = np.flatnonzero(mask[top:bottom]) + top * width
-            bands.append(Band(top, bottom, pixels))
-        top = bottom
-    return bands
 
 
 def is_half(path: Path) -> bool:
@@ -72,33 +39,30 @@ def read_bands(
     cross: list[Path],
     parallel: list[Path],
     bands: list[Band],
+    size: tuple[int, int],
     half: bool,
     readers: int = READERS,
     shift: tuple[int, int] = (0, 0),
-    height: int = 0,
 ) -> Iterator[Samples]:
-    """The samples of each band in turn; the next band is read while the caller works on this one.
+    """The samples of each band of frames of this size (width, height); the next is read while the caller works on this one.
 
-    shift: whole pixels (right, down) by which the parallel pass lies off the crossed one, undone on reading (`height`: of the
-    frames; pixels beyond their edge repeat it). Raises UserError.
+    shift: whole pixels (right, down) by which the parallel pass lies off the crossed one, undone on reading (pixels beyond the
+    edge repeat it). Raises UserError.
     """
     with ThreadPoolExecutor(readers) as pool:
-        yield from ahead(read_band(pool, readers, cross, parallel, band, half, shift, height) for band in bands)
+        yield from ahead(read_band(pool, readers, cross, parallel, band, size, half, shift) for band in bands)
 
 
 def read_band(
-    pool: ThreadPoolExecutor, readers: int, cross: list[Path], parallel: list[Path], band: Band, half: bool,
-    shift: tuple[int, int], height: int,
+    pool: ThreadPoolExecutor, readers: int, cross: list[Path], parallel: list[Path], band: Band, size: tuple[int, int],
+    half: bool, shift: tuple[int, int],
 ) -> Samples:  # fmt: skip
     """The samples of one band, read by the `readers` threads of `pool`. See `read_bands`."""
-    frames, count, parts = [*cross, *parallel], len(cross), 4 * readers
-    buffer = np.empty((2, count, len(band.pixels), 3), np.uint16 if half else np.float32)
-    flat = buffer.reshape(2 * count, len(band.pixels), 3)
-    places = [range(2 * count)[k::parts] for k in range(parts)]
-    moves = [[shift if k >= count else (0, 0) for k in place] for place in places]
-    tasks = [
-        pool.submit(_read_part, frames[k::parts], places[k], moves[k], band, half, height, flat) for k in range(parts)
-    ]  # fmt: skip
+    buffer = np.empty((2, len(cross), len(band.pixels), 3), np.uint16 if half else np.float32)
+    passes = ((cross, picked(band, *size)), (parallel, picked(band, *size, shift)))
+    frames = [(path, pixels, out) for (paths, pixels), side in zip(passes, buffer) for path, out in zip(paths, side)]
+    parts = 4 * readers
+    tasks = [pool.submit(_read_part, frames[k::parts], half) for k in range(parts)]
     try:
         for task in tasks:
             task.result()
@@ -128,26 +92,22 @@ def ahead(items: Iterator[T]) -> Generator[T, None, None]:
     return hand_over(pool.submit(next, items, None))
 
 
-def _read_part(
-    paths: list[Path], places: range, moves: list[tuple[int, int]], band: Band, half: bool, height: int, out: NDArray
-) -> None:
-    for path, place, (right, down) in zip(paths, places, moves):
-        if not (right or down):
-            rows = read_rows(path, band.top, band.bottom, half)
-            inside = band.pixels - band.top * rows.shape[1]
-            np.take(rows.reshape(-1, 3), inside, axis=0, out=out[place], mode="clip")  # 7 times as fast as indexing
-            continue
-        top = min(max(band.top + down, 0), height - 1)
-        bottom = max(min(band.bottom + down, height), top + 1)
-        rows = read_rows(path, top, bottom, half)
-        row, column = np.divmod(band.pixels, rows.shape[1])
-        row, column = np.clip(row + down, top, bottom - 1) - top, np.clip(column + right, 0, rows.shape[1] - 1)
-        out[place] = rows[row, column]
+def _read_part(frames: list[tuple[Path, Picked, NDArray]], half: bool) -> None:
+    reader = ZipFrames()
+    for path, pixels, out in frames:
+        if not reader.read(path, pixels, half, out):
+            rows = read_rows(path, pixels.top, pixels.bottom, pixels.width, pixels.height, half)
+            row = np.repeat(np.arange(pixels.bottom - pixels.top), np.diff(pixels.starts))
+            np.take(rows.reshape(-1, 3), row * pixels.width + pixels.columns, axis=0, out=out, mode="clip")
 
 
-def read_rows(path: Path, top: int, bottom: int, half: bool) -> NDArray:
+def read_rows(path: Path, top: int, bottom: int, width: int, height: int, half: bool) -> NDArray:
     """Scanlines [top, bottom) of a frame's R, G, B: [rows, W, 3] uint16 (half bits) or float32. Raises UserError."""
     image, spec = _open(path)
+    if (spec.width, spec.height) != (width, height):
+        image.close()
+        fault = f"is {spec.width}x{spec.height}, this camera's other frames {width}x{height}"
+        raise UserError(path, fault, "export all frames of a camera alike")
     kind = "half" if half else "float"
     if spec.tile_width:
         low, high = top - top % spec.tile_height, min(-(-bottom // spec.tile_height) * spec.tile_height, spec.height)

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.images import write_fault
+from stages.olat.bands import Band
 from stages.olat.columns import MAPS, columns
-from stages.olat.frames import Band
 
 COARSE = ("occlusion_d", "occlusion_s", "visibility_d", "visibility_s", "interreflection_d", "interreflection_s")
 """Maps that half floats hold well; the others are float32."""

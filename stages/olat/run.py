@@ -18,12 +18,13 @@ from pipeline.capture.model import LightTable
 from pipeline.lights.lobe_names import LOBES
 from pipeline.lights.solid_angles import solid_angles
 from pipeline.stage import StageRun
+from stages.olat.bands import Band
 from stages.olat.cameras import PILOT, CameraJob, decoded
 from stages.olat.columns import FLAG, RESIDUAL, columns
 from stages.olat.drift import WARN_PX
 from stages.olat.fit import fit, load, ready
 from stages.olat.footprint import with_neighbours
-from stages.olat.frames import Band, Samples
+from stages.olat.frames import Samples
 from stages.olat.maps_out import MapWriter
 from stages.olat.preview import write_preview
 from stages.olat.settings import SPECULAR_FITS, Settings

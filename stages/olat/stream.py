@@ -10,9 +10,10 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 from pipeline.stage import StageRun
+from stages.olat.bands import Band
 from stages.olat.cameras import CameraJob, camera_jobs, middle_chunk
 from stages.olat.drift import Drift, measure
-from stages.olat.frames import READERS, Band, Samples, ahead, read_band
+from stages.olat.frames import READERS, Samples, ahead, read_band
 
 SWITCH_S = 5e-4  # how long a reader waits for the interpreter while modules load (Python's own 5 ms would starve the readers)
 
@@ -77,7 +78,8 @@ def _pieces(stage: StageRun, jobs: list[CameraJob], pilot: bool) -> Iterator[Pie
 
 
 def _band(pool: ThreadPoolExecutor, job: CameraJob, band: Band, shift: tuple[int, int]) -> Samples:
-    return read_band(pool, READERS, job.cross, job.parallel, band, job.half, shift, job.camera.height)
+    size = (job.camera.width, job.camera.height)
+    return read_band(pool, READERS, job.cross, job.parallel, band, size, job.half, shift)
 
 
 def _measured(job: CameraJob, band_mb: float) -> tuple[int, int]:

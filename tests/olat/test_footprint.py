@@ -5,9 +5,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from stages.olat.bands import Band
 from stages.olat.columns import WIDTH, columns
 from stages.olat.footprint import spreads, surface_widths, with_neighbours
-from stages.olat.frames import Band
 
 AT = columns()
 

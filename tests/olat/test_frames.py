@@ -8,8 +8,9 @@ import pytest
 
 from pipeline.errors import UserError
 from pipeline.images import write_exr
+from stages.olat.bands import Band, bands_of
 from stages.olat.drift import Drift, measure
-from stages.olat.frames import Band, Samples, ahead, bands_of, read_bands, read_rows
+from stages.olat.frames import Samples, ahead, read_bands, read_rows
 from stages.olat.stage import OlatParameters, every
 
 
@@ -38,7 +39,7 @@ def test_samples_are_the_files_pixels_in_the_order_of_the_lights(tmp_path, half)
         paths.append(tmp_path / f"{k}.exr")
     mask = rng.uniform(size=(40, 9)) > 0.4
     bands = bands_of(mask, 3, 1e-3, 2 if half else 4)
-    for samples in read_bands(paths[:3], paths[3:], bands, half):
+    for samples in read_bands(paths[:3], paths[3:], bands, (9, 40), half):
         for k in range(3):
             for data, frame in ((samples.cross[k], frames[k]), (samples.parallel[k], frames[3 + k])):
                 values = data.view(np.float16).astype(np.float32) if half else data
@@ -85,7 +86,7 @@ def test_a_truncated_frame_is_named(tmp_path):
     write_exr(path, {c: np.random.default_rng(0).uniform(size=(64, 64)) for c in "RGB"}, half=True)
     path.write_bytes(path.read_bytes()[:4000])
     with pytest.raises(UserError, match=r"000001\.exr"):
-        read_rows(path, 48, 64, True)
+        read_rows(path, 48, 64, 64, 64, True)
 
 
 def shifted(right: int, down: int) -> Drift:
@@ -128,5 +129,5 @@ def test_a_shifted_parallel_pass_is_found_and_read_back_into_place(tmp_path):
     found = measure(paths["cross"], paths["parallel"], mask, True, 1.0)
     assert np.allclose(found, (right, down), atol=0.3)
     bands = bands_of(mask, 8, 0.02, 2)
-    for samples in read_bands(paths["cross"], paths["parallel"], bands, True, shift=(right, down), height=height):
+    for samples in read_bands(paths["cross"], paths["parallel"], bands, (width, height), True, shift=(right, down)):
         assert np.array_equal(samples.cross, samples.parallel)
