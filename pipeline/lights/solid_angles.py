@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 CAP_OVER_MEDIAN = 1.25  # times the typical cell's reach; LSX3's regular cells reach 1.07, those at its hole 4.0
 AZIMUTHS = 360  # directions in which a cell's border is measured: areas to 1e-4 of themselves
 BLOCK = 256  # lights whose cells are measured at a time
-NEIGHBOURS = 32  # lights that are tried first as a cell's neighbours; most cells have six
+NEIGHBOURS = 16  # lights that are tried first as a cell's neighbours; most cells have six
 
 
 def solid_angles(directions: NDArray[np.float64], cap: bool = True) -> NDArray[np.float64]:
@@ -34,21 +34,30 @@ def _borders(points: NDArray[np.float64], first: int, last: int) -> NDArray[np.f
     """
     if len(points) < 2:
         return np.full((len(points), AZIMUTHS), -1.0)
-    centre = points[first:last, None]
+    centre = points[first:last]
     across = np.cross(centre, np.eye(3)[np.argmin(np.abs(centre), -1)])
     across /= np.linalg.norm(across, axis=-1, keepdims=True)
-    gap = 0.5 * np.sum((points - centre) ** 2, -1)  # 1 - cosine, without its cancellation
-    own = np.arange(len(centre)), np.arange(first, first + len(centre))
-    gap[own] = np.inf
-    pull = np.stack([np.sum(points * axis, -1) / gap for axis in (across, np.cross(centre, across))], -1)
-    strength = np.hypot(pull[..., 0], pull[..., 1])
+    along = np.cross(centre, across)
+    gap, x, y = np.zeros((3, len(centre), len(points)))
+    for axis in range(3):
+        gap += 0.5 * (points[:, axis] - centre[:, axis, None]) ** 2  # 1 - cosine, without its cancellation
+        x += points[:, axis] * across[:, axis, None]
+        y += points[:, axis] * along[:, axis, None]
+    row = np.arange(len(centre))
+    gap[row, first + row] = np.inf
+    x, y = x / gap, y / gap
+    strength = np.hypot(x, y)
     angle = (np.arange(AZIMUTHS) + 0.5) * (2 * np.pi / AZIMUTHS)
-    azimuths = np.stack([np.cos(angle), np.sin(angle)])
-    nearest = np.argsort(-strength, axis=1)[:, : min(NEIGHBOURS, len(points) - 1)]
-    cotangent = np.max(np.take_along_axis(pull, nearest[..., None], 1) @ azimuths, 1)
-    beyond = np.count_nonzero(strength > cotangent.min(1)[:, None], 1) > nearest.shape[1]
-    for k in np.flatnonzero(beyond):  # the border may lie beyond the nearest
-        cotangent[k] = np.max(np.delete(pull[k], first + k, 0) @ azimuths, 0)
+    cosine, sine = np.cos(angle), np.sin(angle)
+    count = min(NEIGHBOURS, len(points) - 1)
+    cotangent = np.full((len(centre), AZIMUTHS), -np.inf)
+    for nearest in np.argpartition(-strength, count - 1, axis=1)[:, :count].T:
+        pull = x[row, nearest, None] * cosine + y[row, nearest, None] * sine
+        np.maximum(cotangent, pull, out=cotangent)
+    beyond = np.count_nonzero(strength > cotangent.min(1)[:, None], 1) > count
+    for k in map(int, np.flatnonzero(beyond)):  # the border may lie beyond the nearest
+        others = np.delete(np.arange(len(points)), first + k)
+        cotangent[k] = np.max(x[k, others, None] * cosine + y[k, others, None] * sine, 0)
     return cotangent / np.sqrt(1 + cotangent**2)
 
 

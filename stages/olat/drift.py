@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -31,12 +32,9 @@ class Drift:
     def add(self, samples: Samples) -> None:
         """Take in a band."""
         rows, columns = np.divmod(samples.band.pixels, self.width)
-        on = (rows % self.step == 0) & (columns % self.step == 0)
+        on = np.flatnonzero((rows % self.step == 0) & (columns % self.step == 0)) if self.step > 1 else slice(None)
         for k, data in enumerate((samples.cross, samples.parallel)):
-            part = data[:: self.every, on]
-            values = part.view(np.float16) if part.dtype == np.uint16 else part
-            mean = np.nan_to_num(values.astype(np.float32), posinf=0, neginf=0).mean((0, 2))
-            self.means[k, rows[on] // self.step, columns[on] // self.step] = mean
+            self.means[k, rows[on] // self.step, columns[on] // self.step] = _mean([frame[on] for frame in data[:: self.every]])
 
     def shift(self) -> tuple[float, float]:
         """(right, down) shift in pixels of the parallel pass against the crossed one; (0, 0) where nothing can be told."""
@@ -50,6 +48,22 @@ class Drift:
         crossed, parallel = (_edges(image[crop], inside[crop]) for image in self.means)
         down, right = best_shift(crossed, parallel, _inner(inside[crop]))
         return right * self.step, down * self.step
+
+
+def _mean(frames: list[NDArray]) -> NDArray[np.float32]:
+    """Mean over frames and channels of samples [P, 3] (half-float bits or floats), those that are not finite as 0."""
+
+    def total(kept: Callable[[NDArray[np.float32]], NDArray[np.float32]]) -> NDArray[np.float32]:
+        out = np.zeros(frames[0].shape, np.float32)
+        for frame in frames:  # one by one they stay in the cache
+            out += kept((frame.view(np.float16) if frame.dtype == np.uint16 else frame).astype(np.float32))
+        return out
+
+    with np.errstate(invalid="ignore"):
+        found = total(lambda values: values)
+    if not np.isfinite(found).all():
+        found = total(lambda values: np.nan_to_num(values, posinf=0, neginf=0))
+    return found.sum(1) / (3 * len(frames))
 
 
 def best_shift(a: NDArray[np.float64], b: NDArray[np.float64], mask: NDArray[np.bool_]) -> tuple[float, float]:

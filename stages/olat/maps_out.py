@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import TracebackType
 
@@ -38,6 +39,7 @@ class MapWriter:
             if out is None or not out.open(str(path), spec):
                 raise write_fault(path, (out.geterror() if out is not None else oiio.geterror()).strip())
             self.files[name] = out
+        self.pool = ThreadPoolExecutor(2)  # OpenImageIO compresses outside the interpreter's lock
         self.step = max(1, -(-max(width, height) // PREVIEW))
         self.preview = np.zeros((-(-height // self.step), -(-width // self.step), sum(map(len, MAPS.values()))), np.float32)
 
@@ -51,6 +53,7 @@ class MapWriter:
     def close(self) -> None:
         """Write the empty rows at the bottom and finish the files."""
         self._skip_to(self.height)
+        self.pool.shutdown()
         for name, out in self.files.items():
             if not out.close():
                 raise write_fault(self.folder / f"{name}.exr", out.geterror().strip())
@@ -63,6 +66,7 @@ class MapWriter:
         """Finish the files unless something went wrong."""
         if kind is None:
             self.close()
+        self.pool.shutdown()
 
     def _skip_to(self, row: int) -> None:
         while self.row < row:
@@ -71,10 +75,13 @@ class MapWriter:
 
     def _rows(self, strip: NDArray[np.float32]) -> None:
         top = self.row
-        for name, place in columns().items():
+
+        def write(name: str, place: slice) -> None:
             part = np.ascontiguousarray(strip[..., place])
             if not self.files[name].write_scanlines(top, top + len(strip), 0, part):
                 raise write_fault(self.folder / f"{name}.exr", self.files[name].geterror().strip())
+
+        list(self.pool.map(write, *zip(*columns().items())))
         self.row = top + len(strip)
         first = -top % self.step
         picked = strip[first :: self.step, :: self.step]

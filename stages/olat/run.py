@@ -21,7 +21,7 @@ from pipeline.stage import StageRun
 from stages.olat.bands import Band
 from stages.olat.cameras import PILOT, CameraJob, decoded
 from stages.olat.columns import FLAG, RESIDUAL, columns
-from stages.olat.drift import WARN_PX
+from stages.olat.drift import WARN_PX, Drift
 from stages.olat.fit import fit, load, ready
 from stages.olat.footprint import with_neighbours
 from stages.olat.frames import Samples
@@ -146,20 +146,21 @@ def fit_camera(
     """Fit and write one camera from its pieces."""
     parameters: OlatParameters = stage.parameters
     view = -job.camera.rays().reshape(-1, 3)
-    counts, directed, left = np.zeros(len(FLAGS), int), 0, (0.0, 0.0)
+    counts, directed = np.zeros(len(FLAGS), int), 0
+    drift: Drift | None = None
     with (
         stage.progress.bar(f"fitting {job.name}", int(job.mask.sum()), "px") as bar,
         MapWriter(stage.output / job.name, job.camera.width, job.camera.height) as writer,
     ):
 
         def fitted() -> Iterator[tuple[Band, NDArray[np.float64]]]:
-            nonlocal left
+            nonlocal drift
             for number, piece in enumerate(pieces, 1):
                 if number == 1:
                     say_shift(stage, job, piece.shift)
+                    drift = piece.drift
                 rows = fit_band(stage, job, piece.samples, view[piece.samples.band.pixels], rig, settings, threads)
                 bar.advance(len(rows))
-                left = piece.drift.shift() if number == len(job.bands) else left
                 yield piece.samples.band, rows
 
         surface = parameters.widths == "surface" and not settings.gradient
@@ -169,8 +170,10 @@ def fit_camera(
             counts += np.bincount(rows[:, FLAG].astype(int), minlength=len(FLAGS))
             directed += int(np.count_nonzero(rows[:, columns()["tangent"]].any(1)))
             writer.write(band, rows)
-    write_preview(stage.output / job.name / "preview.png", writer.preview)
-    right, down = left
+    with ThreadPoolExecutor(1) as pool:
+        picture = pool.submit(write_preview, stage.output / job.name / "preview.png", writer.preview)
+        right, down = drift.shift() if drift is not None else (0.0, 0.0)
+        picture.result()
     stage.note(f"{job.name}.drift_px", [round(right, 2), round(down, 2)])
     if max(abs(right), abs(down)) > WARN_PX:
         stage.warn(
