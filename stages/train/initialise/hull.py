@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,10 +11,10 @@ from scipy import ndimage, sparse
 from pipeline.cameras import Camera
 from pipeline.errors import UserError
 
+from .points import PointSurface
+
 JUDGES = 0.5  # share of the views that must have a point in frame: a hull seen by less is the views' blind spot
 SMALLEST_PART = 0.02  # parts with less than this share of the largest part's volume are carving debris
-
-Carve = Callable[[np.ndarray, np.ndarray], np.ndarray]  # points [M, 3], signed distance to the hull [M]: a smaller one [M]
 
 
 @dataclass(frozen=True)
@@ -106,37 +106,51 @@ def _grid(low: np.ndarray, high: np.ndarray, spacing: float) -> tuple[np.ndarray
 
 
 def visual_hull(
-    silhouettes: Sequence[Silhouette], resolution: int, offset: float = 0.0, outvoted: int = 0, carve: Carve | None = None
+    silhouettes: Sequence[Silhouette],
+    resolution: int,
+    offset: float = 0.0,
+    outvoted: int = 0,
+    within: PointSurface | None = None,
 ) -> tuple[HullMesh, np.ndarray, float]:
     """The hull's mesh and its bounding box's centre [3] and largest half extent.
 
-    `resolution`: voxels along the longest side. `offset`: pixels by which the object exceeds its masks. `carve`: what else is
-    known about the surface. Raises UserError where the masks have no common object.
+    `resolution`: voxels along the longest side. `offset`: pixels by which the object exceeds its masks. `within`: a surface
+    that cuts the hull down, but for what the silhouettes need if they are the object's (`within.fades`). Raises UserError
+    where the masks have no common object.
     """
     from skimage.measure import marching_cubes
 
     distances = [signed_distance(s.mask, offset) for s in silhouettes]
-
-    def field(points: np.ndarray) -> np.ndarray:
-        own = occupancy(silhouettes, distances, points, outvoted)
-        return own if carve is None else carve(points, own)
-
     centre, half = bounds(silhouettes)
     half *= 1.3
     coarse, coarse_shape = _grid(centre - half, centre + half, 2 * half / 40)
-    near = without_debris(field(coarse).reshape(coarse_shape))
-    kept = coarse[near.ravel() > -2 * half / 40]
+    near = outer = without_debris(occupancy(silhouettes, distances, coarse, outvoted).reshape(coarse_shape))
+    if within is not None:
+        near = without_debris(within.cut(coarse, near.ravel()).reshape(coarse_shape))
+        outer = outer if within.fades else near
+    kept = coarse[outer.ravel() > -2 * half / 40]
     if len(kept) < 2 or (near > 0).sum() < 2:
         raise UserError("masks", "they have no object in common", "check the masks, the cameras and their pairing")
     margin = 2 * half / 40
     low, high = kept.min(0) - margin, kept.max(0) + margin
     spacing = float((high - low).max()) / resolution
     points, shape = _grid(low, high, spacing)
+
+    def looked_up(field: np.ndarray) -> np.ndarray:
+        return ndimage.map_coordinates(field, ((points - (centre - half)) / (2 * half / 40)).T, order=1, mode="nearest")
+
     # the coarse field tells what is far from the surface
-    lookup = ndimage.map_coordinates(near, ((points - (centre - half)) / (2 * half / 40)).T, order=1, mode="nearest")
-    band = np.abs(lookup) < 4 * half / 40
-    values = lookup.astype(np.float32)
-    values[band] = field(points[band])
+    values = looked_up(near).astype(np.float32)
+    band = np.abs(values) < 4 * half / 40
+    if within is not None and within.fades:
+        band |= np.abs(looked_up(outer)) < 4 * half / 40
+    values[band] = occupancy(silhouettes, distances, points[band], outvoted)
+    if within is not None:
+        hull, place = values[band], points[band]
+        values[band] = within.cut(place, hull)
+        if within.fades:
+            restored = needed(silhouettes, place, hull, values[band])
+            values[band] = np.where(restored, hull, values[band])
     volume = ndimage.gaussian_filter(values.reshape(shape), 0.8)
     volume = without_debris(np.pad(volume, 1, constant_values=-spacing))
     if not (volume > 0).any():
@@ -146,6 +160,34 @@ def visual_hull(
     mesh = smoothed(vertices, triangles[:, ::-1].astype(np.int64), rounds=6)
     extent = mesh.vertices.max(0) - mesh.vertices.min(0)
     return mesh, 0.5 * (mesh.vertices.max(0) + mesh.vertices.min(0)), float(0.5 * extent.max())
+
+
+def needed(silhouettes: Sequence[Silhouette], points: np.ndarray, hull: np.ndarray, cut: np.ndarray) -> np.ndarray:
+    """Which of the points [M, 3] that a cut takes from the hull (signed distances [M]) a silhouette would then lack [M].
+
+    Thin parts go first where sparse points are noisy; their silhouettes are better evidence.
+    """
+    solid, taken = np.flatnonzero(cut > 0), np.flatnonzero((hull > 0) & (cut <= 0))
+    out = np.zeros(len(points), bool)
+    for s in silhouettes:
+        covered = np.zeros(s.mask.shape, bool)
+        _, row, column = _pixels(s, points, solid)
+        covered[row, column] = True
+        # twice: gaps between voxels wider apart than pixels, and what a silhouette's own edge leaves open
+        bare = (s.mask > 0.5) & ~ndimage.binary_dilation(covered, iterations=2)
+        if bare.any():
+            which, row, column = _pixels(s, points, taken)
+            out[which[ndimage.binary_dilation(bare, iterations=3)[row, column]]] = True
+    return out
+
+
+def _pixels(silhouette: Silhouette, points: np.ndarray, which: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Those of the points `which` that lie in a view's frame, with their pixels' rows and columns."""
+    height, width = silhouette.mask.shape
+    pixels, z = silhouette.camera.project(points[which])
+    inside = (z > 0) & (pixels >= 0).all(-1) & (pixels < (width, height)).all(-1)
+    column, row = pixels[inside].astype(np.int64).T
+    return which[inside], row, column
 
 
 def without_debris(volume: np.ndarray) -> np.ndarray:

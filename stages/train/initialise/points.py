@@ -127,7 +127,7 @@ class PointSurface:
             out = out + np.maximum(nearest - SUPPORT * self.cloud.spacing, 0)
         return out.astype(np.float32)
 
-    def within(self, points: np.ndarray, hull: np.ndarray) -> np.ndarray:
+    def cut(self, points: np.ndarray, hull: np.ndarray) -> np.ndarray:
         """Signed distance [M] to what lies inside both this surface and the hull of signed distance `hull` [M].
 
         The hull is exact where the object bulges and smoother than any cloud: it stays where the points lie less than
