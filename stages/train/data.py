@@ -88,12 +88,12 @@ def load_sources(decode: Path, poses: Path, masks: Path | None, polarisation: st
             continue
         split: Split = "test" if name in test else "train"
         sources.append(_load(name, index["views"][name], cameras[name], decode, masks, split, mode))
-    usable = [s for s in sources if s.split == "train" and (s.mask > 0.5).sum() > 20]
+    usable = [s for s in sources if s.split == "train" and ((s.mask > 0.5) & s.valid).sum() > 20]
     if len(usable) < FEWEST_VIEWS:
         raise UserError(
             index_path,
-            f"only {len(usable)} training views show the object",
-            f"training needs at least {FEWEST_VIEWS}, better 20 around the object; check the masks",
+            f"only {len(usable)} training views show the object unsaturated",
+            f"training needs at least {FEWEST_VIEWS}, better 20 around the object; check masks and exposure",
         )
     return sources, mode
 
@@ -122,7 +122,7 @@ def _load(name: str, entry: dict, camera: Camera, decode: Path, masks: Path | No
         mask = read_image(masks / f"{name}.png")[..., 0]
         if mask.shape != (height, width):
             raise UserError(masks / f"{name}.png", f"is {mask.shape[::-1]}, its image {width}x{height}", "redo the masks")
-    return SourceView(name, split, camera, np.nan_to_num(image), mask, valid)
+    return SourceView(name, split, camera, np.nan_to_num(image, posinf=0.0, neginf=0.0), mask, valid)
 
 
 def background_is_black(sources: list[SourceView]) -> bool:
@@ -278,7 +278,7 @@ def prepare(source: SourceView, frame: SceneFrame, black: bool, device: str = "c
 
 def with_validation(sources: list[SourceView], every: int) -> list[SourceView]:
     """The sources with some training views marked as validation; `every` 0 chooses about one in 14, at least one of 12."""
-    training = [s.name for s in sources if s.split == "train"]
+    training = [s.name for s in sources if s.split == "train" and (s.mask > 0.99).any()]
     if every == 0:
         every = 14 if len(training) >= 12 else 0
     held = set(training[every // 2 :: every]) if every else set()

@@ -6,7 +6,8 @@ import math
 
 import torch
 
-LEAST_EXPOSURE = 0.25  # the mean foreground is 0.25 in the training exposure: below this factor it is past white outside
+LEAST_EXPOSURE, MOST_EXPOSURE = 0.25, 250.0  # the mean foreground is 0.25 in the training exposure: it is past white in the
+# capture's units below the first factor, and less than 1/1000 of it above the second
 
 
 def srgb(linear: torch.Tensor) -> torch.Tensor:
@@ -18,9 +19,9 @@ def srgb(linear: torch.Tensor) -> torch.Tensor:
 def psnr(predicted: torch.Tensor, target: torch.Tensor, exposure: float) -> float:
     """sRGB PSNR (dB) of radiances in the training exposure; capped at 120 (equal images).
 
-    As the report clips them, at 1 in the capture's units; in the training exposure where their mean is past that (counts
-    of a sensor, a scene in full sun), or everything would be white and any model right.
+    As the report clips them, at 1 in the capture's units; in the training exposure where that would make everything white
+    (counts of a sensor, a scene in full sun) or black, and any model right.
     """
-    exposure = 1.0 if exposure < LEAST_EXPOSURE else exposure
+    exposure = exposure if LEAST_EXPOSURE <= exposure <= MOST_EXPOSURE else 1.0
     difference = srgb(predicted / exposure) - srgb(target / exposure)
     return -10 * math.log10(max(float((difference**2).mean()), 1e-12))

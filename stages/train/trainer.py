@@ -320,8 +320,9 @@ class Trainer:
     @torch.no_grad()
     def validate(self) -> float:
         """Mean sRGB PSNR (dB) inside the mask of the validation views (of the training views where none are held back)."""
-        views = [v for v in self.pyramids[0] if v.split == "validation"]
-        views = views or [v for v in self.pyramids[0] if v.split == "train"][:2]
+        showing = [v for v in self.pyramids[0] if v.inside.any()]
+        views = [v for v in showing if v.split == "validation"]
+        views = views or [v for v in showing if v.split == "train"][:2]
         light = self.light()
         values = []
         for view in views:

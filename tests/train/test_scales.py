@@ -124,3 +124,4 @@ def test_validation_means_something_in_counts_as_in_radiance():
     wrong = target * 1.1
     in_radiance = psnr(wrong, target, 1.0)
     assert psnr(wrong, target, 0.25 / 2000) == pytest.approx(in_radiance, abs=0.1)
+    assert psnr(wrong, target, 0.25 / 1e-9) == pytest.approx(in_radiance, abs=0.1)

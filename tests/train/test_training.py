@@ -10,6 +10,7 @@ import pytest
 import torch
 
 from pipeline.capture.model import PolariserPrior
+from pipeline.errors import UserError
 from stages.train import checkpoint
 from stages.train.parameters import TrainParameters
 from stages.train.setup import prepare_training
@@ -162,3 +163,48 @@ def test_the_splat_count_stays_bounded(make_sources):
     parameters = replace(SMALL, iterations=500)
     trainer = trained(make_sources(40, 16), 420, parameters=parameters)
     assert 0.5 * parameters.max_splats < len(trainer.scene.model) <= parameters.max_splats
+
+
+def damaged(sources, name):
+    """The sources with one of the inputs that break naive code."""
+    rng = np.random.default_rng(0)
+    out = []
+    for k, s in enumerate(sources):
+        image, mask, valid = s.image.copy(), s.mask, s.valid
+        if name == "black":
+            image[:] = 0
+        elif name == "past half floats":
+            image *= 1e6
+        elif name == "s0 zero":
+            image[:, :, 0] = 0
+        elif name == "more polarised than bright":
+            image[:, :, 1:] += 3 * rng.normal(size=image[:, :, 1:].shape)
+        elif name == "empty masks" and k % 4 == 1:
+            mask = mask * 0
+        elif name == "nothing valid in a view":
+            valid = valid & (k != 3)
+        out.append(replace(s, image=image, mask=mask, valid=valid))
+    return out
+
+
+@pytest.mark.parametrize(
+    "name", ["black", "past half floats", "s0 zero", "more polarised than bright", "empty masks", "nothing valid in a view"]
+)
+def test_extreme_input_leaves_nothing_that_is_not_finite(make_sources, name):
+    trainer = trained(damaged(make_sources(32, 12), name), 12)
+    for tensor_name, value in trainer.tensors().items():
+        assert torch.isfinite(value).all(), tensor_name
+    assert math.isfinite(trainer.validate()) and trainer.validate() < 119
+
+
+def test_views_that_are_all_alike_are_refused(make_sources):
+    first = make_sources(32, 12)[1]
+    with pytest.raises(UserError, match="same line"):
+        trainer_of([replace(first, name=f"{k:03d}") for k in range(12)])
+
+
+def test_masks_of_one_pixel_are_refused(make_sources):
+    dot = np.zeros((32, 32), np.float32)
+    dot[16, 16] = 1
+    with pytest.raises(UserError, match="masks"):
+        trainer_of([replace(s, mask=dot) for s in make_sources(32, 12)])

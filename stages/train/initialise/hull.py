@@ -60,13 +60,16 @@ def bounds(silhouettes: Sequence[Silhouette]) -> tuple[np.ndarray, float]:
         direction = c.world_to_camera[:3, :3].T @ local
         centres.append(c.centre)
         directions.append(direction / np.linalg.norm(direction))
-        spreads.append(np.hypot(np.abs(xs + 0.5 - pixel[0]).max() / c.fx, np.abs(ys + 0.5 - pixel[1]).max() / c.fy))
+        across, down = (max(float(np.abs(v).max()), 0.5) for v in (xs + 0.5 - pixel[0], ys + 0.5 - pixel[1]))
+        spreads.append(np.hypot(across / c.fx, down / c.fy))
+    if not centres:
+        raise UserError("masks", "every mask is empty", "check the masks")
     o, d = np.array(centres), np.array(directions)
-    across = np.eye(3)[None] - d[:, :, None] * d[:, None, :]
-    normal = across.sum(0)
+    onto = np.eye(3)[None] - d[:, :, None] * d[:, None, :]
+    normal = onto.sum(0)
     if np.linalg.cond(normal) > 1e6:
         raise UserError("cameras", "every view looks along the same line", "photograph the object from around it")
-    centre = np.linalg.solve(normal, (across @ o[:, :, None]).sum(0)[:, 0])
+    centre = np.linalg.solve(normal, (onto @ o[:, :, None]).sum(0)[:, 0])
     depths = np.einsum("vk,vk->v", centre - o, d)
     if np.median(depths) <= 0:
         raise UserError("cameras", "the views look away from each other's object", "check the camera convention")

@@ -17,6 +17,7 @@ DENSE = 0.055  # spacing over the half-size below which points beat a hull: at 0
 # and of Cheburashka, at 0.06 to 0.07 they bend as many normals as they mend
 DEEP, HOLLOW = 0.03, 0.02  # a hull in which a fiftieth of the points lie deeper than 3 % of the half-size has hollows to cut;
 # 0 to 0.4 % do in those of a teapot and of Spot, 8 to 13 % in those of Cheburashka and a bunny
+SMALLEST = 0.05  # of the object's half-size: points of less extent show a detail of it
 OUTSIDE = 3.0  # pixels by which a good point may lie outside the silhouettes
 
 
@@ -51,6 +52,7 @@ def _cloud(
     """The points to use, or None, and the reason."""
     if choice == "hull":
         return None, "the hull was asked for"
+    points = np.unique(points, axis=0)
     inside = points[_depths(silhouettes, points) > -OUTSIDE] if len(points) else points
     if len(inside) < FEWEST_POINTS:
         found = f"{len(inside)} points on the object, {FEWEST_POINTS} needed" if len(points) else "no points"
@@ -59,6 +61,8 @@ def _cloud(
         return None, found
     cloud = orient(inside, np.array([s.camera.centre for s in silhouettes]))
     half = 0.5 * float((np.percentile(cloud.points, 99, 0) - np.percentile(cloud.points, 1, 0)).max())
+    if half < SMALLEST * bounds(silhouettes)[1]:
+        return None, f"{len(points)} points, all in one place"
     apart = f"{len(cloud.points)} of {len(points)} points, {100 * cloud.spacing / half:.1f} % of the half-size apart"
     if choice == "auto" and masked and cloud.spacing > DENSE * half:
         return None, f"{apart}: the hull is better than points more than {100 * DENSE:g} % apart"
