@@ -19,6 +19,7 @@ from .initialise.hull import HullMesh, vertex_normals
 from .model import SplatModel, Splats
 
 DIFFUSE_RAYS = 96  # cosine-weighted rays a splat; their noise is averaged over neighbours as well
+AT_ONCE = 4096  # splats traced at a time: all 3 million rays at once were the run's peak of memory, 0.7 GiB
 LOBE_RAYS = 6  # rays through a pixel's reflection lobe
 SMOOTHING = 2  # diffusion rounds of the traced per-splat values
 NEAREST = 4  # splats that carry a hull vertex
@@ -83,12 +84,31 @@ def trace_splats(
     occluder: Occluder, splats: Splats, light: LightField, graph: SurfaceGraph, seed: int, fresnel: str
 ) -> SplatOcclusion:
     """Shadow and one diffuse-and-specular bounce at every splat, under the current light and material."""
-    device = splats.means.device
     normals = splats.normals.detach().cpu().numpy().astype(np.float32)
     origins = splats.means.detach().cpu().numpy().astype(np.float32) + 0.7 * graph.spacing * normals
-    local = cosine_directions(DIFFUSE_RAYS)
     turn = np.random.default_rng(seed).random(len(normals)).astype(np.float32) * 2 * np.pi
-    directions = local_to_world(local, normals, turn)  # [N, K, 3]
+    blocked, parts = 0, []
+    for first in range(0, len(normals), AT_ONCE):
+        rows = slice(first, first + AT_ONCE)
+        values, hits = _trace_rows(occluder, splats, light, origins[rows], normals[rows], turn[rows], fresnel)
+        parts.append(values)
+        blocked += hits
+    values = graph.diffuse(torch.cat(parts), SMOOTHING)
+    return SplatOcclusion(values[:, :3], values[:, 3:], blocked / (len(normals) * DIFFUSE_RAYS))
+
+
+def _trace_rows(
+    occluder: Occluder,
+    splats: Splats,
+    light: LightField,
+    origins: np.ndarray,
+    normals: np.ndarray,
+    turn: np.ndarray,
+    fresnel: str,
+) -> tuple[torch.Tensor, int]:
+    """Shadow and bounce [R, 6] at some of the splats, and how many of their rays are blocked."""
+    device = splats.means.device
+    directions = local_to_world(cosine_directions(DIFFUSE_RAYS), normals, turn)  # [R, K, 3]
     count = directions.shape[1]
     flat = directions.reshape(-1, 3)
     hit, splat = occluder.cast(np.repeat(origins, count, 0), flat)
@@ -101,8 +121,7 @@ def trace_splats(
     rows = torch.as_tensor(np.flatnonzero(hit), device=device)
     bounce[rows] = outgoing(splats, splat[hit], flat[hit], light, fresnel)
     values = torch.cat([arriving / total.clamp_min(1e-12), np.pi / count * bounce.reshape(-1, count, 3).sum(1)], -1)
-    values = graph.diffuse(values, SMOOTHING)
-    return SplatOcclusion(values[:, :3], values[:, 3:], float(hit.mean()))
+    return values, int(hit.sum())
 
 
 def outgoing(splats: Splats, rows: np.ndarray, towards: np.ndarray, light: LightField, fresnel: str) -> torch.Tensor:
