@@ -12,8 +12,9 @@ from .data import View
 from .model import Splats, unit
 from .rasterize import Raster, rasterize
 
-BACK_FACING = -0.15  # cosine below which a splat's outer side is turned away for good: it cannot show, only leak through
+BACK_FACING = 0.1  # cosine below which a splat has turned its outer side away: half of it reaches past the horizon
 SCREEN_FILTER = 2  # half of gsplat's low-pass filter, which widens every outline by a pixel: 0.5 to 1 degree of normal error
+LAYER = 4.0  # median splat sigmas of depth within which splats are one surface: two pixels, when they are 0.9 apart
 LEAST_ALPHA = 1e-3  # opacity below which a pixel's attributes are noise over noise: they then fade to zero instead
 
 
@@ -89,6 +90,7 @@ def _faces(splats: Splats, view: View) -> torch.Tensor:
 def _rasterised(splats: Splats, rows: torch.Tensor, features: torch.Tensor, view: View, backend: str) -> Raster:
     """The splats `rows` with their features [R, C] in a view."""
     height, width = view.size
+    scales = splats.scales.detach()
     return rasterize(
         splats.means[rows],
         splats.quaternions[rows],
@@ -101,6 +103,7 @@ def _rasterised(splats: Splats, rows: torch.Tensor, features: torch.Tensor, view
         height,
         backend=backend,
         screen_filter=SCREEN_FILTER,
+        layer=LAYER * float(scales.median()) if len(scales) else 0.0,
     )
 
 

@@ -32,8 +32,8 @@ from .surface_losses import SurfaceWeights, surface_loss
 REFRESH = 100  # steps between rebuilding the surface graph
 CYCLE = 2 * REFRESH  # steps between densification, tracing and checkpoints: nothing traced has to be saved then
 RECESS_AT = (400, 600, 800)  # steps, multiples of CYCLE, before which hollows are looked for: the light must be about right
-LEAST_RECESS = 0.015  # share of the surface below which what is found counts as noise, and is not looked for again: a
-# teapot's reflections in itself fake up to 0.014, real webs were 0.075 and more
+LEAST_RECESS = 0.03  # share of the surface below which what is found counts as noise, and is not looked for again: a
+# teapot's reflections in itself fake up to 0.019, real webs were 0.075 and more
 OCCLUSION_FROM = 200  # steps before the first tracing: the light and the albedo must mean something
 RECESS_UNTIL = 0.6  # share of the run after which there is no time left to settle
 DENSIFY_UNTIL = 0.6  # share of the run after which the splats stay as they are

@@ -44,18 +44,21 @@ def steep_free(scene, grow: float = 0.1):
 
 
 def gsplat_in_torch(scene, torch_functions) -> SimpleNamespace:
-    """gsplat's four functions from its torch ones, on the pairs that the reference blends."""
+    """gsplat's functions from its torch ones, on the pairs that the reference blends."""
     camera, K, width, height = scene.view(torch.float32)
 
     def pixels() -> Tensor:
         y, x = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
         return torch.stack((x, y), -1).reshape(-1, 2).float() + 0.5
 
-    def blend(means2d, transforms, colours, opacities, normals, densify, *_, masks=None):
+    def pairs(*_):
         splats = project(*scene.splats[:4], camera, K, 0.01, True)
         alpha, _ = splat_alpha(pixels(), splats, splats.centre[None], scene.splats[3][splats.index], 0.01, True)
         pixel, rank = (alpha > 0).nonzero(as_tuple=True)
-        ids = splats.index[rank]
+        return splats.index[rank], pixel
+
+    def blend(means2d, transforms, colours, opacities, normals, densify, *_, masks=None):
+        ids, pixel = pairs()
         arguments = (means2d, transforms, opacities, colours, normals, ids, pixel, torch.zeros_like(ids), width, height)
         blended, alphas, normal = torch_functions.accumulate_2dgs(*arguments)
         median = torch.full_like(alphas, 4.0)
@@ -70,10 +73,12 @@ def gsplat_in_torch(scene, torch_functions) -> SimpleNamespace:
         isect_tiles=lambda *_, **__: (None, None, None),
         isect_offset_encode=lambda _, images, columns, rows: torch.zeros(images, rows, columns),
         rasterize_to_pixels_2dgs=blend,
+        rasterize_to_indices_in_range_2dgs=pairs,
     )
 
 
-def test_the_wiring_gives_the_reference_images(gsplat_torch, scene_named, monkeypatch) -> None:
+@pytest.mark.parametrize("layer", [0.0, 0.3])
+def test_the_wiring_gives_the_reference_images(gsplat_torch, scene_named, monkeypatch, layer) -> None:
     """With gsplat's own torch functions in place of its kernels, units, frames and channel order are the reference's."""
     plain = scene_named("plain")
     scene = steep_free(replace(plain, splats=tuple(t[:20] for t in plain.splats), width=20, height=13), grow=0.4)
@@ -82,8 +87,8 @@ def test_the_wiring_gives_the_reference_images(gsplat_torch, scene_named, monkey
     ours, theirs = scene.inputs(torch.float32), scene.inputs(torch.float32)
     mask = torch.zeros(13, 20, dtype=torch.bool)
     mask[2:9, 3:17] = True
-    truth = rasterize(*ours, *scene.view(torch.float32), backend="reference", near=0.01, pixel_mask=mask)
-    value = rasterize(*theirs, *scene.view(torch.float32), backend="cuda", near=0.01, pixel_mask=mask)
+    truth = rasterize(*ours, *scene.view(torch.float32), backend="reference", near=0.01, pixel_mask=mask, layer=layer)
+    value = rasterize(*theirs, *scene.view(torch.float32), backend="cuda", near=0.01, pixel_mask=mask, layer=layer)
     for name in ("features", "alpha", "normal"):
         assert torch.allclose(getattr(value, name), getattr(truth, name), atol=2e-4), name
     # depth of centres against depth of intersections: within the splats' own extent in z
@@ -100,14 +105,16 @@ def test_the_wiring_gives_the_reference_images(gsplat_torch, scene_named, monkey
 
 @pytest.mark.skipif(not has_cuda, reason="needs a CUDA device")
 @pytest.mark.parametrize("name", ["plain", "crowd", "off-centre", "scale 1e-3", "scale 1e4", "no channels", "many channels"])
-def test_gpu_equals_reference(scene_named, name) -> None:
+@pytest.mark.parametrize("layer", [0.0, 0.1])
+def test_gpu_equals_reference(scene_named, name, layer) -> None:
     """Within gsplat's looser cut-off and centre depths: 2 % of the images, 5 % of the gradients, in 2-norm."""
+    layer *= {"scale 1e-3": 1e-3, "scale 1e4": 1e4}.get(name, 1.0)
     scene = steep_free(scene_named(name)) if not name.startswith("scale") else scene_named(name)
     ours = scene.inputs(torch.float64)
     theirs = [t.detach().float().cuda().requires_grad_() for t in ours]
     camera, K, width, height = scene.view(torch.float32)
-    truth = rasterize(*ours, *scene.view(torch.float64), backend="reference")
-    value = rasterize(*theirs, camera.cuda(), K.cuda(), width, height, backend="cuda")
+    truth = rasterize(*ours, *scene.view(torch.float64), backend="reference", layer=layer)
+    value = rasterize(*theirs, camera.cuda(), K.cuda(), width, height, backend="cuda", layer=layer)
     g = torch.Generator().manual_seed(0)
     losses = []
     for key in IMAGES[:-1]:
@@ -126,11 +133,12 @@ def test_gpu_equals_reference(scene_named, name) -> None:
 
 @pytest.mark.skipif(not has_cuda, reason="needs a CUDA device")
 @pytest.mark.parametrize("name", ["edge-on", "needles", "huge", "tiny", "behind", "covering", "opaque"])
-def test_gpu_is_finite_on_hostile_scenes(scene_named, name) -> None:
+@pytest.mark.parametrize("layer", [0.0, 0.1])
+def test_gpu_is_finite_on_hostile_scenes(scene_named, name, layer) -> None:
     scene = scene_named(name)
     inputs = [t.detach().cuda().requires_grad_() for t in scene.splats]
     camera, K, width, height = scene.view(torch.float32)
-    raster = rasterize(*inputs, camera.cuda(), K.cuda(), width, height, backend="cuda")
+    raster = rasterize(*inputs, camera.cuda(), K.cuda(), width, height, backend="cuda", layer=layer)
     sum(getattr(raster, key).sum() for key in IMAGES).backward()  # type: ignore[union-attr]
     for tensor in (*(getattr(raster, key) for key in IMAGES), *(t.grad for t in inputs)):
         assert tensor is not None and tensor.isfinite().all()

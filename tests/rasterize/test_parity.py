@@ -25,10 +25,10 @@ GRADIENT_TOLERANCE = {"needles": 1.5e-2, "edge-on": 1.5e-2}  # 4.6e-3, 5.6e-3
 DISTORTION_FLOOR = 1e-6
 
 
-def run(scene, backend: str, dtype: torch.dtype, screen_filter: int, images=IMAGES) -> dict[str, Tensor]:
+def run(scene, backend: str, dtype: torch.dtype, screen_filter: int, images=IMAGES, layer: float = 0.0) -> dict[str, Tensor]:
     """Images, gradients for random cotangents (the same for both backends), and side outputs, all float64."""
     inputs = scene.inputs(dtype)
-    raster = rasterize(*inputs, *scene.view(dtype), backend=backend, screen_filter=screen_filter)
+    raster = rasterize(*inputs, *scene.view(dtype), backend=backend, screen_filter=screen_filter, layer=layer)
     distance = float(scene.camera[:3, 3].norm())
     units = {"depth_expected": distance, "depth_median": distance, "distortion": distance**2}
     g = torch.Generator().manual_seed(5)
@@ -50,13 +50,13 @@ def relative_error(value: Tensor, truth: Tensor, floor: float = 0.0) -> float:
     return float((value - truth).norm()) / size if size else float((value - truth).norm())
 
 
-@pytest.mark.parametrize("screen_filter", [1, 2, 0])
-def test_cpu_equals_reference(scene, request, screen_filter) -> None:
+@pytest.mark.parametrize(("screen_filter", "layer"), [(1, 0.0), (2, 0.0), (0, 0.0), (2, 0.1), (1, 0.7)])
+def test_cpu_equals_reference(scene, request, screen_filter, layer) -> None:
     name = request.node.callspec.params["scene"]
     # the side of a splat seen exactly edge-on is decided by rounding, so its normal is left out there
     images = tuple(i for i in IMAGES if not (name == "exactly edge-on" and i == "normal"))
-    truth = run(scene, "reference", torch.float64, screen_filter, images)
-    value = run(scene, "cpu", torch.float32, screen_filter, images)
+    truth = run(scene, "reference", torch.float64, screen_filter, images, layer)
+    value = run(scene, "cpu", torch.float32, screen_filter, images, layer)
     for key, expected in truth.items():
         assert value[key].isfinite().all(), key
         is_gradient = key.startswith("d ") or key in ("screen_gradient", "radii")
@@ -100,10 +100,12 @@ def test_scenes_are_not_trivial(scene_named) -> None:
             assert (result[f"d {key}"].abs() > 1e-3).sum() >= 10, (name, key)
 
 
+@pytest.mark.parametrize("layer", [0.0, 0.1])
 @pytest.mark.parametrize("factor", [1e-3, 1e4])
-def test_scene_scale_changes_nothing_but_distances(scene_named, factor) -> None:
+def test_scene_scale_changes_nothing_but_distances(scene_named, factor, layer) -> None:
     plain = scene_named("plain")
-    one, other = (run(s, "cpu", torch.float32, True) for s in (plain, plain.scaled(factor)))
+    sides = ((plain, layer), (plain.scaled(factor), factor * layer))
+    one, other = (run(scene, "cpu", torch.float32, True, layer=depth) for scene, depth in sides)
     for key in (*IMAGES, "visible", "radii"):  # depths are in units of the camera's distance here
         assert relative_error(other[key], one[key]) < 3e-5, key  # measured 4e-6
     assert relative_error(other["d means"] * factor, one["d means"]) < 7e-4  # measured 2.1e-4

@@ -79,7 +79,24 @@ def test_blending_stops_and_the_median_is_where_half_is_left() -> None:
     assert raster.distortion[0, 0] == pytest.approx(0.99 * 0.0099 * (2 - 1) ** 2)
 
 
-def test_gradients_are_finite_differences(scene_named) -> None:
+def test_splats_of_one_layer_show_their_mean_and_hide_what_is_behind() -> None:
+    """Big parallel splats of opacity 0.5, 0.25 | 0.5 | 0.5 at z = 1, 1.05 | 2 | 3, whatever order the first two have."""
+    means = torch.zeros(4, 3, dtype=torch.float64)
+    quats = torch.tensor([[1.0, 0, 0, 0]], dtype=torch.float64).expand(4, 4)
+    opacities = torch.tensor([0.5, 0.25, 0.5, 0.5], dtype=torch.float64)
+    K = torch.tensor([[1.0, 0, 0.5], [0, 1.0, 0.5], [0, 0, 1.0]])
+    arguments = (quats, torch.ones(4, 2).double() * 9, opacities, torch.eye(4).double())
+    covered = 1 - 0.5 * 0.75
+    for depths in ((1.0, 1.05, 2.0, 3.0), (1.05, 1.0, 2.0, 3.0)):
+        means[:, 2] = torch.tensor(depths)
+        raster = rasterize(means, *arguments, torch.eye(4), K, 1, 1, backend="reference", near=0.5, layer=0.1)
+        behind = (1 - covered) * 0.5
+        assert raster.features[0, 0].tolist() == pytest.approx([covered * 2 / 3, covered / 3, behind, behind / 2])
+        assert float(raster.alpha[0, 0]) == pytest.approx(covered + behind * 1.5)
+
+
+@pytest.mark.parametrize("layer", [0.0, 0.3])
+def test_gradients_are_finite_differences(scene_named, layer) -> None:
     scene = replace(scene_named("plain"), width=9, height=7)
     chosen = slice(0, 6)
     scene = replace(
@@ -92,7 +109,7 @@ def test_gradients_are_finite_differences(scene_named) -> None:
     weights = torch.randn(scene.height, scene.width, scene.splats[-1].shape[1] + 7, generator=g).double()
 
     def weighted_images(*inputs: Tensor) -> Tensor:
-        r = rasterize(*inputs, *scene.view(torch.float64), backend="reference", near=0.1)
+        r = rasterize(*inputs, *scene.view(torch.float64), backend="reference", near=0.1, layer=layer)
         scalars = torch.stack((r.alpha, r.depth_expected, r.depth_median, r.distortion), -1)
         return (torch.cat((r.features, r.normal, scalars), -1) * weights).sum()
 

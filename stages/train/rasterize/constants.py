@@ -10,6 +10,9 @@ TRANSMITTANCE_STOP = 1e-4
 """A splat that would bring the transmittance below this is not blended and ends the pixel (3DGS, gsplat). With
 ALPHA_MAX = 0.99, two opaque splats (0.01 squared) reach it."""
 
+MAX_LAYERS = 4
+"""With layered blending, layers of a pixel that are told apart; what lies behind the last but one is one layer."""
+
 CUTOFF_SIGMA = 3.0
 """A splat ends at 3 sigma, per pixel, in its own plane: exp(-4.5) = 0.011 of its peak. gsplat and 2DGS cut whole tiles
 at about 3 sigma instead, so there the result depends on the tile size by up to that 0.011."""

@@ -15,11 +15,11 @@ from torch import Tensor
 from . import constants as k
 from .kernel_backward import backward_room, slot_width, tiles_backward
 from .kernel_bin import bin_splats, depth_order
-from .kernel_block import BLOCKS, CHANNELS, GROUP
+from .kernel_block import BLOCKS, CHANNELS, GROUP, LAYERS, RECORD_ROWS
 from .kernel_forward import blend_tiles, forward_room, largest_weights
 from .kernel_project import GEO, project, project_backward
 from .raster import Raster
-from .simd import TILE
+from .simd import LANES, TILE
 from .threads import row_buffers, run_on_all_cores
 
 
@@ -37,9 +37,10 @@ def rasterize_cpu(
     near: float | None = None,
     pixel_mask: Tensor | None = None,  # [H, W]
     screen_filter: int = 1,
+    layer: float = 0.0,
 ) -> Raster:
     """`rasterize` on the CPU, computed in float32."""
-    view = _View(world_to_camera, intrinsics, width, height, near, pixel_mask, screen_filter, len(means))
+    view = _View(world_to_camera, intrinsics, width, height, near, pixel_mask, screen_filter, layer, len(means))
     inputs = [t.to(torch.float32) for t in (means, quats, scales, opacities, features)]
     blended, normal, alpha, expected, median, distortion = _Rasterize.apply(view, *inputs)
     side = [torch.from_numpy(a) for a in (view.screen_gradient, view.visible, view.radii)]
@@ -58,6 +59,7 @@ class _View:
         near: float | None,
         pixel_mask: Tensor | None,
         screen_filter: int,
+        layer: float,
         count: int,
     ) -> None:
         lens = intrinsics.detach()
@@ -65,6 +67,7 @@ class _View:
         self.camera = np.ascontiguousarray(world_to_camera.detach().numpy(), np.float32)
         self.width, self.height, self.near = width, height, near
         self.screen = np.float32(k.SCREEN_INVERSE_VARIANCE * screen_filter**2 if screen_filter else np.inf)
+        self.layer = np.float32(layer)
         self.mask = np.ones((height, width), bool) if pixel_mask is None else np.ascontiguousarray(pixel_mask.numpy())
         self.screen_gradient, self.visible, self.radii = (np.zeros(count, np.float32) for _ in range(3))
 
@@ -107,12 +110,15 @@ class _Rasterize(torch.autograd.Function):
         pair_weight = np.empty(len(pair_slot), np.float32)
         tile_used = np.empty(len(tile_start) - 1, np.int64)
         tile_state = np.empty((len(tile_used), BLOCKS * BLOCKS, CHANNELS), np.float32)
+        record = LAYERS * (RECORD_ROWS + attributes.shape[1]) * LANES if view.layer > 0 else 0
+        records = np.empty((len(tile_used), BLOCKS * BLOCKS * record), np.float32)  # filled where layers end
         run_on_all_cores(
-            blend_tiles, tile_start, pair_splat, pair_slot, geo, attributes, view.mask, view.screen,
-            blended, normal, scalars, pair_weight, tile_used, tile_state, row_buffers(forward_room(attributes.shape[1])),
+            blend_tiles, tile_start, pair_splat, pair_slot, geo, attributes, view.mask, view.screen, view.layer,
+            blended, normal, scalars, pair_weight, tile_used, tile_state, records, row_buffers(forward_room(attributes.shape[1])),
         )  # fmt: skip
         largest_weights(slot_start, pair_weight, view.visible)
-        ctx.view, ctx.pairs, ctx.tiles, ctx.splats = view, pairs, (tile_used, tile_state), (geo, attributes)
+        ctx.view, ctx.pairs, ctx.tiles, ctx.splats = view, pairs, (tile_used, tile_state, records), (geo, attributes)
+        ctx.images = blended, normal
         ctx.save_for_backward(*inputs)
         ctx.set_materialize_grads(False)
         return tuple(torch.from_numpy(a) for a in (blended, normal, *scalars))
@@ -123,7 +129,7 @@ class _Rasterize(torch.autograd.Function):
         arrays = [_array(t) for t in ctx.saved_tensors]
         means, quats, scales = arrays[:3]
         tile_start, pair_splat, pair_slot, slot_start = ctx.pairs
-        tile_used, tile_state = ctx.tiles
+        tile_used, tile_state, records = ctx.tiles
         geo, attributes = ctx.splats
         size = (view.height, view.width)
         d_features, d_normal, *_ = (
@@ -137,8 +143,8 @@ class _Rasterize(torch.autograd.Function):
         used = attributes.shape[1] if cotangents[1] is not None else -(-d_features.shape[2] // GROUP) * GROUP
         slots = np.empty((len(pair_slot), slot_width(attributes.shape[1])), np.float32)
         run_on_all_cores(
-            tiles_backward, tile_start, tile_used, tile_state, pair_splat, pair_slot, geo, attributes, view.screen,
-            bool(d_scalars[3].any()), used, d_features, d_normal, d_scalars, slots,
+            tiles_backward, tile_start, tile_used, tile_state, records, pair_splat, pair_slot, geo, attributes, view.screen,
+            view.layer, bool(d_scalars[3].any()), used, *ctx.images, d_features, d_normal, d_scalars, slots,
             row_buffers(backward_room(attributes.shape[1])),
         )  # fmt: skip
         gradients = [np.zeros_like(a) for a in arrays]

@@ -20,15 +20,17 @@ from torch import Tensor
 
 from pipeline.errors import UserError
 
-from .constants import NEAR_FRACTION
+from .constants import NEAR_FRACTION, SCREEN_INVERSE_VARIANCE
+from .layers import layer_numbers, layer_weights
 from .raster import Raster
 
 TILE = 16  # the only size gsplat tests
+GSPLAT_ALPHA_MAX = 0.999  # its cap of one splat's opacity at one pixel
 CHANNELS = (1, 2, 3, 4, 8, 16, 32, 64, 128, 256, 512)  # what gsplat compiles for
 
 
 def gsplat_functions() -> SimpleNamespace:
-    """gsplat's four functions, or UserError saying what is missing. They compile themselves at first use, for minutes."""
+    """gsplat's functions, or UserError saying what is missing. They compile themselves at first use, for minutes."""
     where = "device cuda"
     if not torch.cuda.is_available():
         fault = "PyTorch sees no CUDA device" + ("" if torch.version.cuda else " (this is its CPU-only build)")
@@ -46,7 +48,13 @@ def gsplat_functions() -> SimpleNamespace:
                 raise UserError(where, f"{tool} is missing", f"{needed}, or use --device cpu")
     from gsplat.cuda import _wrapper
 
-    names = ("fully_fused_projection_2dgs", "isect_tiles", "isect_offset_encode", "rasterize_to_pixels_2dgs")
+    names = (
+        "fully_fused_projection_2dgs",
+        "isect_tiles",
+        "isect_offset_encode",
+        "rasterize_to_pixels_2dgs",
+        "rasterize_to_indices_in_range_2dgs",
+    )
     return SimpleNamespace(**{name: getattr(_wrapper, name) for name in names})
 
 
@@ -90,6 +98,48 @@ def thinned(raster: Raster, factor: int) -> Raster:
     return replace(raster, **small, radii=raster.radii / factor)
 
 
+def layered_image(
+    gsplat: SimpleNamespace,
+    projected: tuple[Tensor, Tensor, Tensor],  # centres [1, N, 2], pixel-to-splat transforms [1, N, 3, 3], opacities [1, N]
+    attributes: Tensor,  # [N, A]
+    depths: Tensor,  # [N] camera z of the centres
+    places: tuple[Tensor, Tensor, Tensor],  # gsplat's tile offsets and splat list, wanted pixels [H, W]
+    layer: float,
+) -> Tensor:
+    """The attributes blended by layers (`layers`). [H, W, A]
+
+    gsplat stops a pixel where `TRANSMITTANCE_STOP` is reached, even within a layer.
+    """
+    offsets, splat_ids, wanted = places
+    height, width = wanted.shape
+    untouched = attributes.new_ones(1, height, width)
+    every = 1 << 30  # batches of splats: all of them
+    pairs = gsplat.rasterize_to_indices_in_range_2dgs(
+        0, every, untouched, *(t.detach() for t in projected), width, height, TILE, offsets, splat_ids
+    )
+    splat, pixel = pairs[0], pairs[1]
+    kept = wanted.reshape(-1)[pixel]
+    splat, pixel = splat[kept], pixel[kept]
+    centres, transforms, opacities = (t[0][splat] for t in projected)
+    x, y = pixel % width + 0.5, torch.div(pixel, width, rounding_mode="floor") + 0.5
+    # The transform's rows are image x, y times depth, and depth, linear in (u, v, 1): the pixel's column and line are two
+    # planes, whose common line is the splat's point.
+    plane_x = x[:, None] * transforms[:, 2] - transforms[:, 0]
+    plane_y = y[:, None] * transforms[:, 2] - transforms[:, 1]
+    point = torch.linalg.cross(plane_x, plane_y)
+    u, v = point[:, 0] / point[:, 2], point[:, 1] / point[:, 2]
+    rho_object = u * u + v * v
+    rho_screen = SCREEN_INVERSE_VARIANCE * ((x - centres[:, 0]) ** 2 + (y - centres[:, 1]) ** 2)
+    alpha = (opacities * torch.exp(-0.5 * torch.minimum(rho_object, rho_screen))).clamp(max=GSPLAT_ALPHA_MAX)
+    with torch.no_grad():
+        z = transforms[:, 2, 0] * u + transforms[:, 2, 1] * v + transforms[:, 2, 2]
+        z = torch.where(rho_screen < rho_object, depths[splat], z)
+        number, counted = layer_numbers(alpha, z, pixel, layer)
+    weight, _ = layer_weights(alpha * counted, number, pixel)
+    image = attributes.new_zeros(height * width, attributes.shape[1])
+    return image.index_add(0, pixel, weight[:, None] * attributes[splat]).reshape(height, width, -1)
+
+
 def rasterize_cuda(
     means: Tensor,  # [N, 3]
     quats: Tensor,  # [N, 4]
@@ -104,10 +154,12 @@ def rasterize_cuda(
     near: float | None = None,
     pixel_mask: Tensor | None = None,  # [H, W]
     screen_filter: int = 1,
+    layer: float = 0.0,
 ) -> Raster:
     """`rasterize` by gsplat, in float32, on the device of `means`.
 
-    gsplat's filter is fixed in pixels, so a narrower one is had by enlarging the image (`enlarged`).
+    With `layer`, gsplat names the splats of every pixel and torch blends them (`layered_image`). gsplat's filter is fixed
+    in pixels, so a narrower one is had by enlarging the image (`enlarged`).
     """
     if not screen_filter:
         raise ValueError("gsplat always applies the screen-space filter")
@@ -115,7 +167,8 @@ def rasterize_cuda(
         lens, mask = enlarged(intrinsics, pixel_mask, screen_filter)
         size = (screen_filter * width, screen_filter * height)
         splats = (means, quats, scales, opacities, features)
-        return thinned(rasterize_cuda(*splats, world_to_camera, lens, *size, near=near, pixel_mask=mask), screen_filter)
+        large = rasterize_cuda(*splats, world_to_camera, lens, *size, near=near, pixel_mask=mask, layer=layer)
+        return thinned(large, screen_filter)
     gsplat = gsplat_functions()
     means, quats, scales, opacities, features = (t.float() for t in (means, quats, scales, opacities, features))
     camera = world_to_camera.detach().to(means)
@@ -150,12 +203,18 @@ def rasterize_cuda(
     wanted = torch.ones_like(alphas[0]) if pixel_mask is None else pixel_mask.to(alphas)[..., None]
     blended, alphas, normal, median = (torch.where(wanted > 0, image[0], 0.0) for image in (blended, alphas, normal, median))
     channels = features.shape[1]
+    shown = blended[..., :channels]
+    if layer > 0:
+        attributes = torch.cat((features, normals[0]), 1)
+        places = (offsets, splat_ids, wanted[..., 0] > 0)
+        image = layered_image(gsplat, (means2d, transforms, opacities[None]), attributes, depths[0], places, layer)
+        shown, normal = image.split((channels, 3), -1)
     alpha, expected = alphas[..., 0], blended[..., -1]
     moment1 = expected - z_ref * alpha
     half_reached = (alpha >= 0.5).to(median)  # gsplat gives the last splat's depth where half is never reached
     inside = (radii[0] > 0).all(-1)
     return Raster(
-        features=blended[..., :channels],
+        features=shown,
         alpha=alpha,
         normal=normal @ camera[:3, :3],
         depth_expected=expected,

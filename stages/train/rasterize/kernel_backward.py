@@ -16,15 +16,24 @@ from .kernel_block import (
     ALPHA_MAX,
     ALPHA_MIN,
     BLOCKS,
+    BOUND,
     CHANNELS,
+    COVERED,
     CUTOFF_RHO,
     END,
+    ENDLESS,
     GROUP,
     HALF,
+    LAYER_BEFORE,
+    LAYER_SUM,
+    LAYERS,
+    LEFT_OVER,
     MEDIAN,
     MOMENT1,
     MOMENT2,
     ONE,
+    RECORD_ROWS,
+    SHARE,
     TRANSMITTANCE,
     TWO,
     ZERO,
@@ -42,7 +51,12 @@ _f = np.float32
 # Rows of a block after the cotangents of its attributes: cotangents of alpha, expected depth, median depth and distortion,
 # and what lies behind. Of the forward pass's rows, MEDIAN holds the pixel's final alpha here.
 BY_ALPHA, BY_EXPECTED, BY_MEDIAN, BY_DISTORTION, BEHIND = (LANES * i for i in range(5))
-EXTRA = 5 * LANES
+# With layers, for each that ended and then for the last: c / sum of alpha, the mean of c_i, and the derivative by log of what
+# the layer lets through (`lay_out_layers`).
+OF_LAYER = 5 * LANES
+LAYER_ROWS = 3 * LANES
+LAST = OF_LAYER + LAYERS * LAYER_ROWS
+EXTRA = LAST + LAYER_ROWS
 FINAL_ALPHA = MEDIAN
 
 
@@ -71,6 +85,7 @@ def pair_backward(
     top: int,
     z_ref: float,
     screen: float,
+    layered: bool,
     with_distortion: bool,
     slots: np.ndarray,
     slot: int,
@@ -105,15 +120,11 @@ def pair_backward(
             before = after / (ONE - alpha)
             weight = alpha * before
             store(buffer, at + TRANSMITTANCE, before)
-            store(weights, count * LANES, weight)
-            places[count] = at + CHANNELS
-            count += 1
-
             z = select(on_screen, g[Z], g[Z] * inverse)
             extra = at + stride - EXTRA
             d_z_by_weight = load(buffer, extra + BY_EXPECTED)
-            c_0 = load(buffer, extra + BY_ALPHA) + z * d_z_by_weight
-            c_1 = c_2 = c_3 = spread(ZERO)
+            by_weight = load(buffer, extra + BY_ALPHA) + z * d_z_by_weight
+            c_0 = c_1 = c_2 = c_3 = spread(ZERO)
             for c in range(0, channels, GROUP):
                 row = at + CHANNELS + c * LANES
                 c_0 += load(buffer, row) * value(attribute, c)
@@ -126,10 +137,21 @@ def pair_backward(
                 lean = load(buffer, at + FINAL_ALPHA) * far - m1
                 by_distortion = load(buffer, extra + BY_DISTORTION)
                 d_z_by_weight += TWO * by_distortion * lean
-                c_1 += by_distortion * (load(buffer, at + MOMENT2) + far * (lean - m1))
-            by_weight = (c_0 + c_1) + (c_2 + c_3)
+                by_weight += by_distortion * (load(buffer, at + MOMENT2) + far * (lean - m1))
+            by_feature = (c_0 + c_1) + (c_2 + c_3)
+            amount = weight
+            d_layer = spread(ZERO)
+            if layered:
+                share, mean, gone = layer_rows(buffer, at, extra, here)
+                amount = alpha * share
+                d_layer = select(hit, share * (by_feature - mean) + gone / (ONE - alpha), ZERO)
+            else:
+                by_weight += by_feature
+            store(weights, count * LANES, amount)
+            places[count] = at + CHANNELS
+            count += 1
             behind = load(buffer, extra + BEHIND)
-            d_alpha = before * (by_weight - behind)
+            d_alpha = before * (by_weight - behind) + d_layer
             store(buffer, extra + BEHIND, behind + alpha * (by_weight - behind))
             halves = hit & (before > HALF) & (after <= HALF)
             d_z = weight * d_z_by_weight + select(halves, load(buffer, extra + BY_MEDIAN), ZERO)
@@ -173,6 +195,59 @@ def pair_backward(
 
 
 @kernel
+def layer_rows(buffer: np.ndarray, at: int, extra: int, here: float) -> tuple:
+    """The three rows of the layer that the splat at place `here` belongs to, lane by lane."""
+    share = load(buffer, extra + LAST)
+    mean = load(buffer, extra + LAST + LANES)
+    gone = load(buffer, extra + LAST + 2 * LANES)
+    if any_lane(load(buffer, at + BOUND) <= ENDLESS):
+        for i in range(LAYERS - 1, -1, -1):
+            mine = load(buffer, at + BOUND + i * LANES)
+            inside = (mine > here) & (mine <= ENDLESS)
+            row = extra + OF_LAYER + i * LAYER_ROWS
+            share = select(inside, load(buffer, row), share)
+            mean = select(inside, load(buffer, row + LANES), mean)
+            gone = select(inside, load(buffer, row + 2 * LANES), gone)
+    return share, mean, gone
+
+
+@kernel
+def lay_out_layers(buffer: np.ndarray, stride: int, record: np.ndarray, channels: int, attributes: int) -> None:
+    """Fill every block's rows of layers. Row BEHIND holds the image's product with its cotangent, and is 0 afterwards.
+
+    A layer with coverage c that lets T_last through, of whose splats the mean of c_i is m, adds c m. So dL/dalpha_i =
+    (c / sum of alpha) (c_i - m) + (T_last m - what all later layers add) / (1 - alpha_i).
+    """
+    size = LAYERS * (RECORD_ROWS + attributes) * LANES
+    for block in range(BLOCKS * BLOCKS):
+        at = block * stride
+        extra = at + stride - EXTRA
+        later = load(buffer, extra + BEHIND)
+        store(buffer, extra + BEHIND, spread(ZERO))
+        for i in range(LAYERS):
+            ended = load(buffer, at + BOUND + i * LANES) <= ENDLESS
+            if not any_lane(ended):
+                break
+            base = block * size + i * (RECORD_ROWS + attributes) * LANES
+            adds = spread(ZERO)
+            for c in range(channels):
+                adds += load(buffer, at + CHANNELS + c * LANES) * load(record, base + (RECORD_ROWS + c) * LANES)
+            later = later - select(ended, adds, ZERO)
+            covered = load(record, base + COVERED)
+            mean = adds / select(covered > ZERO, covered, ONE)
+            row = extra + OF_LAYER + i * LAYER_ROWS
+            store(buffer, row, load(record, base + SHARE))
+            store(buffer, row + LANES, mean)
+            store(buffer, row + 2 * LANES, load(record, base + LEFT_OVER) * mean - later)
+        left, total = load(buffer, at + TRANSMITTANCE), load(buffer, at + LAYER_SUM)
+        covered = load(buffer, at + LAYER_BEFORE) - left
+        mean = select(covered > ZERO, later / select(covered > ZERO, covered, ONE), ZERO)
+        store(buffer, extra + LAST, covered / select(total > ZERO, total, ONE))
+        store(buffer, extra + LAST + LANES, mean)
+        store(buffer, extra + LAST + 2 * LANES, left * mean)
+
+
+@kernel
 def read_tile(
     buffer: np.ndarray,
     stride: int,
@@ -180,11 +255,17 @@ def read_tile(
     state: np.ndarray,
     left: int,
     top: int,
+    features: np.ndarray,
+    normal: np.ndarray,
     d_features: np.ndarray,
     d_normal: np.ndarray,
     d_scalars: np.ndarray,
+    layered: bool,
 ) -> None:
-    """Lay out a tile's final state and cotangents, and the place in its list where each block is finished (block_end)."""
+    """Lay out a tile's final state and cotangents, and the place in its list where each block is finished (block_end).
+
+    With layers, row BEHIND holds the product of the images with their cotangents.
+    """
     height, width, channels = d_features.shape
     extra = stride - EXTRA
     for block in range(BLOCKS * BLOCKS):
@@ -207,6 +288,13 @@ def read_tile(
                 buffer[at + CHANNELS + (channels + c) * LANES] = d_normal[y, x, c]
             for c in range(4):
                 buffer[at + extra + c * LANES] = d_scalars[c, y, x]
+            if layered:
+                product = ZERO
+                for c in range(channels):
+                    product += d_features[y, x, c] * features[y, x, c]
+                for c in range(3):
+                    product += d_normal[y, x, c] * normal[y, x, c]
+                buffer[at + extra + BEHIND] = product
 
 
 @kernel
@@ -215,13 +303,17 @@ def tiles_backward(
     tile_start: np.ndarray,
     tile_used: np.ndarray,
     tile_state: np.ndarray,
+    records: np.ndarray,
     pair_splat: np.ndarray,
     pair_slot: np.ndarray,
     geo: np.ndarray,
     attributes: np.ndarray,
     screen: float,
+    layer: float,
     with_distortion: bool,
     channels: int,
+    features: np.ndarray,
+    normal: np.ndarray,
     d_features: np.ndarray,
     d_normal: np.ndarray,
     d_scalars: np.ndarray,
@@ -249,7 +341,13 @@ def tiles_backward(
         if used == 0:
             continue
         left, top = (tile % columns) * TILE, (tile // columns) * TILE
-        read_tile(buffer, stride, block_end, tile_state[tile], left, top, d_features, d_normal, d_scalars)
+        layered = layer > ZERO
+        state = tile_state[tile]
+        read_tile(
+            buffer, stride, block_end, state, left, top, features, normal, d_features, d_normal, d_scalars, layered
+        )  # fmt: skip
+        if layered:
+            lay_out_layers(buffer, stride, records[tile], channels, attributes.shape[1])
         z_ref = geo[pair_splat[first], Z]
         for place in range(used - 1, -1, -1):
             s = pair_splat[first + place]
@@ -257,5 +355,5 @@ def tiles_backward(
             slot = pair_slot[first + place] * slots.shape[1]
             pair_backward(
                 buffer, stride, weights, places, block_end, geo[s], attributes[s], channels, place, left, top, z_ref, screen,
-                with_distortion, slots, slot,
+                layered, with_distortion, slots, slot,
             )  # fmt: skip

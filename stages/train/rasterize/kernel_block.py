@@ -25,6 +25,7 @@ from .simd import (
 )
 
 BLOCKS = TILE // BLOCK  # a side
+LAYERS = k.MAX_LAYERS - 1  # that can end: what comes after is one
 
 # A tile works in one flat float32 buffer: block after block of `stride` values, each a list of rows of LANES:
 TRANSMITTANCE = 0  # negative: the pixel is finished (or not wanted), the size is its final transmittance
@@ -32,7 +33,14 @@ END = LANES  # place in the tile's list of the splat that finished the pixel; in
 MEDIAN = 2 * LANES
 MOMENT1 = 3 * LANES  # sum of w (z - z_ref)
 MOMENT2 = 4 * LANES  # sum of w (z - z_ref)^2
-CHANNELS = 5 * LANES  # blended attributes (forward) or their cotangents (backward), a row each
+LAYER_Z = 5 * LANES  # layered only: intersection that began the layer at hand, its transmittance before, its sum of alpha
+LAYER_BEFORE = 6 * LANES
+LAYER_SUM = 7 * LANES
+BOUND = 8 * LANES  # LAYERS rows: place in the tile's list that ended a layer; infinity: it has not ended
+CHANNELS = (8 + LAYERS) * LANES  # blended attributes (forward) or their cotangents (backward), a row each
+
+COVERED, SHARE, LEFT_OVER = (LANES * i for i in range(3))  # of a layer's record, before its attributes
+RECORD_ROWS = 3
 
 AHEAD = 3
 """Splats of a tile's list to fetch ahead of the one at hand."""
@@ -44,6 +52,7 @@ _f = np.float32
 ONE, ZERO, HALF, TWO = _f(1), _f(0), _f(0.5), _f(2)
 CUTOFF_RHO = _f(k.CUTOFF_RHO)
 BEYOND = _f(2 * k.CUTOFF_RHO)
+ENDLESS = _f(1e30)  # above every place in a list, below infinity
 ALPHA_MIN, ALPHA_MAX, STOP = _f(k.ALPHA_MIN), _f(k.ALPHA_MAX), _f(k.TRANSMITTANCE_STOP)
 Q_MIN = _f(k.MIN_RELATIVE_DEPTH_INVERSE)
 
@@ -90,36 +99,123 @@ def capped_alpha(opacity: float, rho: np.ndarray) -> np.ndarray:
 
 @kernel
 def blend_block(
-    buffer: np.ndarray, at: int, g: np.ndarray, place: int, x0: float, y0: float, z_ref: float, screen: float
+    buffer: np.ndarray,
+    at: int,
+    g: np.ndarray,
+    place: int,
+    x0: float,
+    y0: float,
+    z_ref: float,
+    screen: float,
+    layer: float,
+    record: np.ndarray,
+    channels: int,
 ) -> tuple:
     """Blend the splat at `place` of the tile's list into the block at buffer[at]; updates its rows but CHANNELS.
 
-    Returns whether anything was blended, whether the block has open pixels left, and the row of weights.
+    Returns whether anything was blended, whether the block has open pixels left, the row to multiply the splat's attributes
+    with (its weights; with layers its alphas, see `end_layers`), and the row of largest possible weights.
     """
     _, _, _, _, inverse, rho, on_screen = intersect(g, x0, y0, screen)
     inside = rho <= CUTOFF_RHO
     if not any_lane(inside):
-        return False, True, rho
+        return False, True, rho, rho
     before = load(buffer, at + TRANSMITTANCE)
     alpha = capped_alpha(g[OPACITY], rho)
     hit = inside & (alpha >= ALPHA_MIN) & (before > ZERO)
     if not any_lane(hit):
-        return False, True, rho
+        return False, True, rho, rho
+    z = select(on_screen, g[Z], g[Z] * inverse)
     alpha = select(hit, alpha, ZERO)
     after = before * (ONE - alpha)
-    stop = hit & (after < STOP)
+    if layer > ZERO:
+        farther = hit & (load(buffer, at + LAYER_SUM) > ZERO) & (z > load(buffer, at + LAYER_Z) + layer)
+        stop = farther & (before < STOP)
+        if any_lane(farther):
+            end_layers(buffer, at, place, farther & (before >= STOP), record, channels)
+    else:
+        stop = hit & (after < STOP)
     if any_lane(stop):
         alpha = select(stop, ZERO, alpha)
         after = select(stop, ZERO - before, after)
         store(buffer, at + END, select(stop, spread(place), load(buffer, at + END)))
-    z = select(on_screen, g[Z], g[Z] * inverse)
     weight = select(hit, alpha * before, ZERO)
     far = (z - z_ref) * weight
     store(buffer, at + TRANSMITTANCE, after)
     store(buffer, at + MEDIAN, select((before > HALF) & (absolute(after) <= HALF), z, load(buffer, at + MEDIAN)))
     store(buffer, at + MOMENT1, load(buffer, at + MOMENT1) + far)
     store(buffer, at + MOMENT2, load(buffer, at + MOMENT2) + far * (z - z_ref))
-    return True, any_lane(after > ZERO), weight
+    still_open = any_lane(after > ZERO)
+    if layer > ZERO:
+        total = load(buffer, at + LAYER_SUM)
+        store(buffer, at + LAYER_Z, select((alpha > ZERO) & (total <= ZERO), z, load(buffer, at + LAYER_Z)))
+        store(buffer, at + LAYER_SUM, total + alpha)
+        return True, still_open, alpha, alpha * load(buffer, at + LAYER_BEFORE)
+    return True, still_open, weight, weight
+
+
+@kernel
+def end_layers(buffer: np.ndarray, at: int, place: int, ends: np.ndarray, record: np.ndarray, channels: int) -> None:
+    """End the layer at hand in the lanes `ends`, where that many can end, and begin one with the splat at `place`.
+
+    A layer covers c = T_first - T_last of the light and shows its splats' mean attributes, weighted by alpha: none hides
+    another that lies in the same surface. record, by layer, of [RECORD_ROWS + channels] rows: c, c / sum of alpha, T_last,
+    and the sums of c * attribute.
+    """
+    left = load(buffer, at + TRANSMITTANCE)
+    before, total = load(buffer, at + LAYER_BEFORE), load(buffer, at + LAYER_SUM)
+    covered = before - left
+    share = covered / select(total > ZERO, total, ONE)
+    ended = ends & (load(buffer, at + BOUND + (LAYERS - 1) * LANES) > ENDLESS)
+    if not any_lane(ended):
+        return
+    pending = ended
+    for i in range(LAYERS):
+        bound = load(buffer, at + BOUND + i * LANES)
+        here = pending & (bound > ENDLESS)
+        if any_lane(here):
+            store(buffer, at + BOUND + i * LANES, select(here, spread(place), bound))
+            base = i * (RECORD_ROWS + channels) * LANES
+            keep_lanes(record, base + COVERED, here, covered)
+            keep_lanes(record, base + SHARE, here, share)
+            keep_lanes(record, base + LEFT_OVER, here, left)
+            for c in range(channels):
+                blended = load(buffer, at + CHANNELS + c * LANES) * share
+                keep_lanes(record, base + (RECORD_ROWS + c) * LANES, here, blended)
+        pending = pending & (bound <= ENDLESS)
+    for c in range(channels):
+        row = at + CHANNELS + c * LANES
+        store(buffer, row, select(ended, ZERO, load(buffer, row)))
+    store(buffer, at + LAYER_BEFORE, select(ended, left, before))
+    store(buffer, at + LAYER_SUM, select(ended, ZERO, total))
+
+
+@kernel
+def keep_lanes(record: np.ndarray, row: int, lanes: np.ndarray, values: np.ndarray) -> None:
+    """Store the values in these lanes of a record's row."""
+    store(record, row, select(lanes, values, load(record, row)))
+
+
+@kernel
+def finish_layers(buffer: np.ndarray, stride: int, record: np.ndarray, channels: int) -> None:
+    """Turn every block's attribute rows, sums of alpha * attribute in the last layer, into what all layers show."""
+    size = LAYERS * (RECORD_ROWS + channels) * LANES
+    for block in range(BLOCKS * BLOCKS):
+        at = block * stride
+        total = load(buffer, at + LAYER_SUM)
+        covered = load(buffer, at + LAYER_BEFORE) - absolute(load(buffer, at + TRANSMITTANCE))
+        share = select(total > ZERO, covered / select(total > ZERO, total, ONE), ZERO)
+        for c in range(channels):
+            row = at + CHANNELS + c * LANES
+            store(buffer, row, load(buffer, row) * share)
+        for i in range(LAYERS):
+            ended = load(buffer, at + BOUND + i * LANES) <= ENDLESS
+            if not any_lane(ended):
+                break
+            base = block * size + i * (RECORD_ROWS + channels) * LANES + RECORD_ROWS * LANES
+            for c in range(channels):
+                row = at + CHANNELS + c * LANES
+                store(buffer, row, load(buffer, row) + select(ended, load(record, base + c * LANES), ZERO))
 
 
 @kernel
@@ -131,6 +227,9 @@ def start_tile(buffer: np.ndarray, stride: int, mask: np.ndarray, left: int, top
     for block in range(BLOCKS * BLOCKS):
         store(buffer, block * stride + TRANSMITTANCE, spread(-ONE))
         store(buffer, block * stride + END, spread(-ONE))
+        store(buffer, block * stride + LAYER_BEFORE, spread(ONE))
+        for i in range(LAYERS):
+            store(buffer, block * stride + BOUND + i * LANES, spread(np.inf))
     for line in range(min(TILE, height - top)):
         for column in range(min(TILE, width - left)):
             if mask[top + line, left + column]:

@@ -18,6 +18,7 @@ from .kernel_block import (
     ZERO,
     blend_block,
     block_range,
+    finish_layers,
     pixel_place,
     prefetch_splat,
     start_tile,
@@ -83,17 +84,20 @@ def blend_tiles(
     attributes: np.ndarray,
     mask: np.ndarray,
     screen: float,
+    layer: float,
     features: np.ndarray,
     normal: np.ndarray,
     scalars: np.ndarray,
     pair_weight: np.ndarray,
     tile_used: np.ndarray,
     tile_state: np.ndarray,
+    records: np.ndarray,
     workspace: np.ndarray,
 ) -> None:
     """Fill the images features [H, W, C], normal [H, W, 3], scalars [4, H, W] (alpha, expected and median depth,
-    distortion), pair_weight [S] (largest weight, by slot), tile_used [tiles] (pairs until every pixel was finished) and
-    tile_state [tiles, BLOCKS^2, CHANNELS] (the blocks' rows at the end, for `kernel_backward`)."""
+    distortion), pair_weight [S] (largest weight, by slot), tile_used [tiles] (pairs until every pixel was finished) and, for
+    `kernel_backward`, tile_state [tiles, BLOCKS^2, CHANNELS] (the blocks' rows at the end) and records [tiles, ...] (of the
+    layers that ended, see `end_layers`). layer: depth of one, 0 for none."""
     width = features.shape[1]
     columns = (width + TILE - 1) // TILE
     channels = attributes.shape[1]
@@ -107,6 +111,7 @@ def blend_tiles(
         first, last = tile_start[tile], tile_start[tile + 1]
         left, top = (tile % columns) * TILE, (tile // columns) * TILE
         start_tile(buffer, stride, mask, left, top)
+        record_size = records.shape[1] // (BLOCKS * BLOCKS)
         remaining = open_blocks(buffer, stride, is_open)
         z_ref = geo[pair_splat[first], Z] if first < last else ZERO
         used = last - first
@@ -123,12 +128,15 @@ def blend_tiles(
                         continue
                     at = block * stride
                     x0, y0 = _f(left + column * BLOCK) + HALF, _f(top + line * BLOCK) + HALF
-                    hit, still_open, weight = blend_block(buffer, at, g, p - first, x0, y0, z_ref, screen)
+                    record = records[tile, block * record_size :]
+                    hit, still_open, amount, weight = blend_block(
+                        buffer, at, g, p - first, x0, y0, z_ref, screen, layer, record, channels
+                    )
                     if hit:
                         peak = maximum(peak, weight)
                         for c in range(channels):
                             to = at + CHANNELS + c * LANES
-                            store(buffer, to, load(buffer, to) + weight * value(attributes, s * channels + c))
+                            store(buffer, to, load(buffer, to) + amount * value(attributes, s * channels + c))
                         if not still_open:
                             is_open[block] = ZERO
                             remaining -= 1
@@ -142,6 +150,8 @@ def blend_tiles(
         for block in range(BLOCKS * BLOCKS):
             for i in range(CHANNELS):
                 tile_state[tile, block, i] = buffer[block * stride + i]
+        if layer > ZERO:
+            finish_layers(buffer, stride, records[tile], channels)
         write_tile(buffer, stride, left, top, z_ref, features, normal, scalars)
 
 

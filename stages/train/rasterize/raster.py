@@ -12,7 +12,8 @@ from torch import Tensor
 
 @dataclass
 class Raster:
-    """Blended images of one view. Sums are over splats, front to back, with weights w = alpha * transmittance.
+    """Blended images of one view. Sums are over splats, front to back, with weights w = alpha * transmittance (with `layer`,
+    those of `features` and `normal` are shared out evenly within a layer).
 
     Only the images carry gradients. Distances are in world units; pixels outside `pixel_mask` are 0 everywhere.
     """
@@ -24,7 +25,7 @@ class Raster:
     depth_median: Tensor  # [H, W] camera z of the splat that takes the transmittance to 1/2 or below; 0 where none does
     distortion: Tensor  # [H, W] sum over pairs i < j of w_i w_j (z_i - z_j)^2 (2DGS code's form on plain z) [distance^2]
     screen_gradient: Tensor  # [N] filled by backward: norm of the per-axis sums over pixels of |dL/d centre| [1/px]
-    visible: Tensor  # [N] largest blending weight over the pixels, 0 where unseen
+    visible: Tensor  # [N] largest blending weight over the pixels (with `layer`, as if alone in its layer), 0 where unseen
     radii: Tensor  # [N] half the larger side of the projected bounding box [px]; 0 where culled
 
 
@@ -46,6 +47,7 @@ def rasterize(
     near: float | None = None,
     pixel_mask: Tensor | None = None,  # [H, W]
     screen_filter: int = 1,
+    layer: float = 0.0,
 ) -> Raster:
     """Blend perspective-correct 2D Gaussians (2DGS, Huang et al. 2024, Sec. 4) into images of one pinhole view.
 
@@ -62,6 +64,11 @@ def rasterize(
         pixel_mask: True where pixels are wanted; tiles without any are skipped. [H, W] bool
         screen_filter: rho = min(object space, screen space); 1 is the low-pass filter of 2DGS and gsplat (sigma 0.71 px),
             k one k times as narrow (sigma 0.71 / k px), 0 none: object space only.
+        layer: > 0, world units: splats that a pixel's ray meets within this depth of the first one belong to one surface, and
+            `features` and `normal` show their mean weighted by alpha, instead of the nearer ones hiding the others. On a
+            curved surface the nearer ones are those that lean towards the camera, so blending front to back alone turns
+            every normal towards it (by 0.7 degrees for splats a pixel apart on an object of 120 pixels). The other images
+            stay as they are.
 
     Raises:
         ValueError: a shape, a backend or the intrinsics are not as stated.
@@ -69,6 +76,8 @@ def rasterize(
     check_inputs(means, quats, scales, opacities, features, world_to_camera, intrinsics, width, height, pixel_mask)
     if near is not None and not near > 0:
         raise ValueError(f"near must be positive, got {near}")
+    if not 0 <= layer < float("inf"):
+        raise ValueError(f"layer must be a depth >= 0, got {layer}")
     if screen_filter < 0 or screen_filter != int(screen_filter):
         raise ValueError(f"screen_filter must be 0, 1, 2, ..., got {screen_filter}")
     if backend not in BACKENDS:
@@ -76,7 +85,7 @@ def rasterize(
     room = import_module(f".{backend}", __package__)
     run: Callable[..., Raster] = getattr(room, f"rasterize_{backend}")
     arguments = (means, quats, scales, opacities, features, world_to_camera, intrinsics, int(width), int(height))
-    return run(*arguments, near=near, pixel_mask=pixel_mask, screen_filter=screen_filter)
+    return run(*arguments, near=near, pixel_mask=pixel_mask, screen_filter=screen_filter, layer=layer)
 
 
 def check_inputs(

@@ -21,6 +21,7 @@ from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
 from . import constants as k
+from .layers import layer_numbers, layer_weights
 from .raster import Raster
 
 BLOCK = 16  # pixels a side evaluated at once; bounds memory only
@@ -147,19 +148,28 @@ def splat_alpha(
     return torch.where(inside & (alpha >= k.ALPHA_MIN), alpha, torch.zeros_like(alpha)), z
 
 
-def blend(alpha: Tensor, z: Tensor, attributes: Tensor) -> tuple[Tensor, Tensor]:
-    """Front-to-back blending. alpha, z [P, n], attributes [n, A] -> image [P, A + 4], weights [P, n].
+def blend(alpha: Tensor, z: Tensor, attributes: Tensor, layer: float = 0.0) -> tuple[Tensor, Tensor]:
+    """Front-to-back blending. alpha, z [P, n], attributes [n, A] -> image [P, A + 4], largest possible weights [P, n].
 
-    The last four channels are alpha, expected depth, median depth, distortion.
+    The last four channels are alpha, expected depth, median depth, distortion; `layer` leaves them as they are.
     """
+    if layer > 0:
+        pixel, rank = (alpha > 0).nonzero(as_tuple=True)
+        with torch.no_grad():
+            number, goes_on = layer_numbers(alpha[pixel, rank], z[pixel, rank], pixel, layer)
+        alpha = alpha.index_put((pixel, rank), alpha[pixel, rank] * goes_on)
     after = torch.cumprod(1 - alpha, dim=1)
     before = torch.cat((torch.ones_like(after[:, :1]), after[:, :-1]), 1)
-    counted = after >= k.TRANSMITTANCE_STOP
+    counted = torch.ones_like(after, dtype=torch.bool) if layer > 0 else after >= k.TRANSMITTANCE_STOP
     weight = alpha * before * counted
     halves = counted & (before > 0.5) & (after <= 0.5)
     moment = [(weight * (z - z.detach()[:, :1]) ** j).sum(1) for j in range(3)]  # shifted: the variance does not change
     outputs = (moment[0], (weight * z).sum(1), (z * halves).sum(1), moment[0] * moment[2] - moment[1] ** 2)
-    return torch.cat((weight @ attributes, torch.stack(outputs, 1)), 1), weight.detach()
+    most = weight
+    if layer > 0:
+        nothing = torch.zeros_like(weight)
+        weight, most = (nothing.index_put((pixel, rank), w) for w in layer_weights(alpha[pixel, rank], number, pixel))
+    return torch.cat((weight @ attributes, torch.stack(outputs, 1)), 1), most.detach()
 
 
 def blocks(width: int, height: int) -> Iterator[tuple[slice, slice]]:
@@ -183,6 +193,7 @@ def rasterize_reference(
     near: float | None = None,
     pixel_mask: Tensor | None = None,  # [H, W]
     screen_filter: int = 1,
+    layer: float = 0.0,
 ) -> Raster:
     """`rasterize` by its definition, in the dtype of `means`."""
     count, channels, dtype = len(means), features.shape[1], means.dtype
@@ -209,7 +220,7 @@ def rasterize_reference(
 
             centre.register_hook(add_absolute)
         alpha, z = splat_alpha(pixels, near_by, centre, opacities[near_by.index], near, screen_filter)
-        image, weight = blend(alpha, z, torch.cat((features[near_by.index], near_by.normal), 1))
+        image, weight = blend(alpha, z, torch.cat((features[near_by.index], near_by.normal), 1), layer)
         visible[near_by.index] = torch.maximum(visible[near_by.index], weight.amax(0))
         return image
 
