@@ -42,8 +42,10 @@ def _normal_equations(light, wx, wy, wz, weight):
 def _threshold(light, ok, level, weight):
     n = ZERO * light[0]
     for k in range(light.size):
-        weight[k] = ok[k] if light[k] > level else ZERO
-        n += weight[k]
+        w = ok[k]
+        w = w if light[k] > level else ZERO
+        weight[k] = w
+        n += w
     return n
 
 
@@ -84,8 +86,9 @@ def _residuals(light, ok, wx, wy, wz, bx, by, bz, grazing, work):
     n = ZERO * light[0]
     for k in range(light.size):
         p = bx * wx[k] + by * wy[k] + bz * wz[k]
-        lit = ok[k] > ZERO and p > grazing and light[k] > HALF * p
-        work[k] = abs(light[k] - p) if lit else -ONE
+        v, usable = light[k], ok[k]
+        lit = (usable > ZERO) & (p > grazing) & (v > HALF * p)
+        work[k] = abs(v - p) if lit else -ONE
         n += ONE if lit else ZERO
     return n
 
@@ -96,6 +99,17 @@ def _residual_scale(light, ok, wx, wy, wz, bx, by, bz, grazing, work):
     return MAD * kth_largest(work, n // 2) if n > 0 else 0.0
 
 
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def _usable(light, ok, work):
+    """The samples that can be used into `work` (-1: cannot); returns their number."""
+    n = ZERO * light[0]
+    for k in range(light.size):
+        v, fine = light[k], ok[k] > ZERO
+        work[k] = v if fine else -ONE
+        n += ONE if fine else ZERO
+    return n
+
+
 @njit(cache=True, error_model="numpy")
 def fit_normal(light, ok, wx, wy, wz, rounds, plain, weight, work):
     """Scaled diffuse normal `m` = (albedo x normal) of one pixel.
@@ -104,10 +118,7 @@ def fit_normal(light, ok, wx, wy, wz, rounds, plain, weight, work):
     filled with the final weights; plain: every light before the surface counts fully, PRF Eq. 12.
     Returns (mx, my, mz, residual scale, lights in use, solved).
     """
-    usable = 0
-    for k in range(light.size):
-        work[k] = light[k] if ok[k] > 0 else -ONE
-        usable += 1 if ok[k] > 0 else 0
+    usable = int(_usable(light, ok, work))
     if usable < 3:
         for k in range(light.size):
             weight[k] = ZERO
