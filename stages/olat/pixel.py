@@ -41,7 +41,7 @@ from stages.olat.paper import (
 )
 from stages.olat.separation import separate
 from stages.olat.settings import CORRELATION, JOINT, ROUND
-from stages.olat.specular import LOBE_FRACTION, SIGMA_MAX, frame_about, half_vectors, start_normal, sums, widths
+from stages.olat.specular import LOBE_FRACTION, frame_about, half_vectors, start_normal, sums, widths
 from stages.olat.visibility import behind, diffuse_maps, printed_maps, specular_maps
 
 BAD_SHARE = 0.1  # of a pixel's samples that may be not finite before the pixel is flagged
@@ -49,6 +49,7 @@ NOISE_FLOOR = 1e-3  # of the brightest sample: half floats are this coarse
 FIXED = -1.0  # tie of a normal that is not to move
 UNKNOWN = 1e6  # variance (rad²) of a normal that was not measured
 ONE_WAY = 0.75  # order of a pixel's tangents below which it has no one tangent
+WIDEST = 2.2  # of a lobe: the width of one that fills the hemisphere (slopes beyond 65 degrees) is not told by the samples
 LIT_LIGHTS = 4  # three determine a normal and its albedo exactly; only a fourth can contradict them
 EFFECTIVE_LIGHTS = 3.0  # a lobe seen by fewer has no width
 
@@ -197,6 +198,10 @@ def fit_pixel(cross, parallel, w, o, area, energy, settings, room, out):
         if not math.isfinite(out[k]):
             out[k] = 0.0
             out[FLAG] = BAD_SAMPLES
+    if out[FLAG] == BAD_SAMPLES:
+        for at in (NORMAL_D, NORMAL_S, NORMAL):
+            if out[at] == 0 and out[at + 1] == 0 and out[at + 2] == 0:
+                out[at], out[at + 1], out[at + 2] = o[0], o[1], o[2]
     return norm, passes
 
 
@@ -261,7 +266,7 @@ def _specular(n, w, o, area, settings, n_d, solved, top_d, room, out):
     large, small, angle = widths(shape)
     if not (math.isfinite(large) and math.isfinite(small) and math.isfinite(rho[0]) and math.isfinite(frame[2, 0])):
         return nothing
-    if large >= 0.99 * SIGMA_MAX or not rho[0] > 0:
+    if large > WIDEST or not rho[0] > 0:
         flag = NO_LOBE
     out[ALBEDO_S] = rho[0]
     out[SIGMA], out[SIGMA + 1] = large, small
