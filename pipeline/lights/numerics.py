@@ -20,6 +20,7 @@ FAST = {"reassoc", "contract", "arcp", "nsz", "afn"}
 """Reassociated sums (SIMD) and reciprocals, but NaN and Inf keep their meaning."""
 
 ZERO, ONE, TWO, HALF, FOUR = (np.float32(v) for v in (0.0, 1.0, 2.0, 0.5, 4.0))
+LARGEST = np.float32(1e30)  # of a sample: the squares of larger ones would overflow
 TINY = np.float32(1e-30)  # keeps 0/0 at 0 where both are exact zeros; far below any sample, above float32's denormals
 
 _LOG2E = np.float32(1.4426950408889634)

@@ -242,7 +242,7 @@ def _specular(n, w, o, area, settings, n_d, solved, top_d, room, out):
     frame, shape, rho = matrix(3, 3), vector(3), vector(1)
     tie, tied = settings.prior, n_d
     if settings.specular_fit == CORRELATION:
-        a, b, c, found = correlation_normal(light, use, incident, o)
+        a, b, c, found = correlation_normal(light, use, incident, o, weight)
         if found and a * o[0] + b * o[1] + c * o[2] > 0.02:
             x, y, z = a, b, c
     if settings.specular_fit != JOINT:

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 from numba import njit
 
-from pipeline.lights.numerics import FAST, ONE, ZERO
-
-LARGEST = np.float32(1e30)  # of a light's samples added up: more is an overflow of its squares
+from pipeline.lights.numerics import FAST, LARGEST, ONE, ZERO
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
