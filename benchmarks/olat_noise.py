@@ -9,8 +9,9 @@ import numpy as np
 from benchmarks.olat_forms import captures
 from benchmarks.olat_pixels import angle_deg
 from benchmarks.olat_settings import AT, SETTINGS
+from stages.olat.bands import Band
 from stages.olat.fit import fit
-from stages.olat.footprint import spreads, surface_widths
+from stages.olat.footprint import with_neighbours
 
 CASES = ((0.0, np.inf), (3e-3, 1.0), (1e-2, 1.0), (1e-2, 0.5), (3e-2, 2.0))
 """Standard deviation added to the stored samples, and their largest value."""
@@ -26,9 +27,8 @@ def table(folder: Path) -> list[dict[str, float | str]]:
             cross, parallel = (np.minimum(x + noise * rng.normal(size=x.shape), clip) for x in (p.cross, p.parallel))
             settings = SETTINGS._replace(saturation=NEAR_CLIP * min(clip, float(parallel.max()) * 2))
             rows, _ = fit(cross.astype(np.float32), parallel.astype(np.float32), p.view, p.rig, settings)
-            image = np.zeros((*inside.shape, 3))
-            image[inside] = rows[:, AT["normal"]]
-            surface_widths(rows, spreads(image)[inside])
+            whole = Band(0, inside.shape[0], np.flatnonzero(inside))
+            rows = next(with_neighbours([(whole, rows)], inside.shape[1]))[1]
             tangent = rows[:, AT["tangent"]]
             one_way = (np.linalg.norm(tangent, axis=1) > 0.5) & (p.sigma[:, 0] > p.sigma[:, 1])  # a round lobe has none
             angle = np.degrees(np.arccos(np.clip(np.abs(np.sum(tangent * p.tangent, 1)), 0, 1)))

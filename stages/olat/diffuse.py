@@ -21,37 +21,12 @@ MAD = 1.4826  # standard deviation of a normal distribution over its median abso
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
-def _normal_equations(light, wx, wy, wz, weight):
-    a = b = c = d = e = f = x = y = z = ZERO * light[0]
-    for k in range(light.size):
-        w = weight[k]
-        p, q, r = w * wx[k], w * wy[k], w * wz[k]
-        a += p * wx[k]
-        b += p * wy[k]
-        c += p * wz[k]
-        d += q * wy[k]
-        e += q * wz[k]
-        f += r * wz[k]
-        x += p * light[k]
-        y += q * light[k]
-        z += r * light[k]
-    return a, b, c, d, e, f, x, y, z
-
-
-@njit(cache=True, fastmath=FAST, error_model="numpy")
-def _threshold(light, ok, level, weight):
-    n = ZERO * light[0]
-    for k in range(light.size):
-        weight[k] = ok[k] if light[k] > level else ZERO
-        n += weight[k]
-    return n
-
-
-@njit(cache=True, fastmath=FAST, error_model="numpy")
-def _reweighted(light, ok, wx, wy, wz, bx, by, bz, grazing, shadowed, inverse, weight):
+def weighted_equations(light, ok, wx, wy, wz, bx, by, bz, grazing, shadowed, level, inverse, weight):
     """Geman-McClure weights of lights that are not shadowed, and the normal equations under them, in one pass.
 
-    Returns the equations, the weighted square residual and the weights' sum.
+    b: scaled normal that predicts the samples; a light counts whose prediction is above `grazing` and whose sample is above
+    `shadowed` of it plus `level`; inverse: of the weights' scale (0: all weigh 1). `weight` [N] is filled. Returns the
+    equations (six of the matrix, three of the right side), the weighted square residual and the weights' sum.
     """
     a = b = c = d = e = f = x = y = z = ss = sw = ZERO * light[0]
     for k in range(light.size):
@@ -61,7 +36,7 @@ def _reweighted(light, ok, wx, wy, wz, bx, by, bz, grazing, shadowed, inverse, w
         t = residual * inverse
         u = ONE / (ONE + t * t)
         w = ok[k] * u * u
-        w = w if (prediction > grazing) and (v > shadowed * prediction) else ZERO
+        w = w if (prediction > grazing) and (v > shadowed * prediction + level) else ZERO
         weight[k] = w
         ss += w * residual * residual
         sw += w
@@ -84,8 +59,9 @@ def _residuals(light, ok, wx, wy, wz, bx, by, bz, grazing, work):
     n = ZERO * light[0]
     for k in range(light.size):
         p = bx * wx[k] + by * wy[k] + bz * wz[k]
-        lit = ok[k] > ZERO and p > grazing and light[k] > HALF * p
-        work[k] = abs(light[k] - p) if lit else -ONE
+        v, usable = light[k], ok[k]
+        lit = (usable > ZERO) & (p > grazing) & (v > HALF * p)
+        work[k] = abs(v - p) if lit else -ONE
         n += ONE if lit else ZERO
     return n
 
@@ -96,6 +72,17 @@ def _residual_scale(light, ok, wx, wy, wz, bx, by, bz, grazing, work):
     return MAD * kth_largest(work, n // 2) if n > 0 else 0.0
 
 
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def _usable(light, ok, work):
+    """The samples that can be used into `work` (-1: cannot); returns their number."""
+    n = ZERO * light[0]
+    for k in range(light.size):
+        v, fine = light[k], ok[k] > ZERO
+        work[k] = v if fine else -ONE
+        n += ONE if fine else ZERO
+    return n
+
+
 @njit(cache=True, error_model="numpy")
 def fit_normal(light, ok, wx, wy, wz, rounds, plain, weight, work):
     """Scaled diffuse normal `m` = (albedo x normal) of one pixel.
@@ -104,29 +91,27 @@ def fit_normal(light, ok, wx, wy, wz, rounds, plain, weight, work):
     filled with the final weights; plain: every light before the surface counts fully, PRF Eq. 12.
     Returns (mx, my, mz, residual scale, lights in use, solved).
     """
-    usable = 0
-    for k in range(light.size):
-        work[k] = light[k] if ok[k] > 0 else -ONE
-        usable += 1 if ok[k] > 0 else 0
+    usable = int(_usable(light, ok, work))
     if usable < 3:
         for k in range(light.size):
             weight[k] = ZERO
         return 0.0, 0.0, 0.0, 0.0, usable, False
     top = kth_largest(work, min(4, usable - 1))
     solved = False
+    kind = light.dtype.type
     mx = my = mz = 0.0
     if top > 0:
         for fraction in (0.0 if plain else START_FRACTION, 0.1, 0.02, 0.0):
-            n = _threshold(light, ok, light.dtype.type(fraction * top), weight)
+            a, b, c, d, e, f, x, y, z, _, n = weighted_equations(
+                light, ok, wx, wy, wz, ZERO, ZERO, ZERO, -ONE, ZERO, kind(fraction * top), ZERO, weight
+            )
             if n >= 3:
-                a, b, c, d, e, f, x, y, z = _normal_equations(light, wx, wy, wz, weight)
                 mx, my, mz, solved = solve3(a, b, c, d, e, f, x, y, z)
             if solved:
                 break
     if not solved:
         return 0.0, 0.0, 0.0, 0.0, usable, False
     scale, used = 0.0, usable
-    kind = light.dtype.type
     for step in range(rounds):
         size = math.sqrt(mx * mx + my * my + mz * mz)
         bx, by, bz, grazing = kind(mx), kind(my), kind(mz), kind(GRAZING * size)
@@ -136,8 +121,8 @@ def fit_normal(light, ok, wx, wy, wz, rounds, plain, weight, work):
         inverse, shadowed = kind(0.0 if plain else 1.0 / (TUNING * scale)), kind(-1e30 if plain else SHADOWED)
         if plain:
             grazing = ZERO
-        a, b, c, d, e, f, x, y, z, ss, sw = _reweighted(
-            light, ok, wx, wy, wz, bx, by, bz, kind(grazing), shadowed, inverse, weight
+        a, b, c, d, e, f, x, y, z, ss, sw = weighted_equations(
+            light, ok, wx, wy, wz, bx, by, bz, kind(grazing), shadowed, ZERO, inverse, weight
         )
         nx, ny, nz, fine = solve3(a, b, c, d, e, f, x, y, z)
         if not fine or sw < 3.0 * HALF:

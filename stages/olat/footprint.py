@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from stages.olat.bands import Band
 from stages.olat.columns import columns
 from stages.olat.settings import ROUND
+from stages.olat.tangents import EDGE, borne_out
 
 LEAST = 0.25  # of a pixel's squared width that the surface keeps: the spread is an estimate of its own
-EDGE = np.cos(np.radians(45.0))  # neighbours that differ more are another surface
 SMOOTH = 1.0 / 12.0  # variance of a uniform distribution over its width squared
 NEAR = np.pi**2 / 8 - 1 - SMOOTH
 FAR = (SMOOTH - NEAR) / 4
@@ -84,34 +84,35 @@ def _mean_square(normals: NDArray[np.float64], lag: int, square: Callable[[NDArr
 
 
 def with_neighbours(
-    bands: Iterable[tuple[Band, NDArray[np.float64]]], width: int
+    bands: Iterable[tuple[Band, NDArray[np.float64]]], width: int, surface: bool = True
 ) -> Iterator[tuple[Band, NDArray[np.float64]]]:
-    """The bands (pixels [P] of a frame `width` wide, rows [P, WIDTH]) with the widths of the surface, each a little late.
+    """The bands (pixels [P] of a frame `width` wide, rows [P, WIDTH]) with what depends on neighbours, each a little late.
 
-    Rows of the bands above and below give the edges their neighbours: the result does not depend on the bands' size.
+    Tangents that are not borne out go; with `surface`, widths become the surface's. Rows of the bands above and below give the
+    edges their neighbours: the result does not depend on the bands' size.
     """
     waiting: list[tuple[Band, NDArray[np.float64]]] = []
-    known = _Rows(width)
+    known, at = _Rows(width), columns()
     for band, rows in bands:
-        known.add(band, rows[:, columns()["normal"]])
+        known.add(band, np.column_stack([rows[:, at["normal"]], rows[:, at["tangent"]].any(1)]))
         waiting.append((band, rows))
         while waiting and waiting[0][0].bottom + CONTEXT <= band.bottom:
-            yield _finish(*waiting.pop(0), known)
+            yield _finish(*waiting.pop(0), known, surface)
     for band, rows in waiting:
-        yield _finish(band, rows, known)
+        yield _finish(band, rows, known, surface)
 
 
 class _Rows:
-    """The last rows of the normal map, 0 where nothing is known."""
+    """The last rows of the map of normals and of who has a tangent [H, W, 4], 0 where nothing is known."""
 
     def __init__(self, width: int) -> None:
-        self.top, self.image = 0, np.zeros((0, width, 3))
+        self.top, self.image = 0, np.zeros((0, width, 4))
 
-    def add(self, band: Band, normals: NDArray[np.float64]) -> None:
-        """Append a band's normals [P, 3]; `bottom` rows above it that no pixel fills stay 0."""
+    def add(self, band: Band, found: NDArray[np.float64]) -> None:
+        """Append what was found for a band [P, 4]; `bottom` rows above it that no pixel fills stay 0."""
         width = self.image.shape[1]
-        rows = np.zeros((band.bottom - self.top - len(self.image), width, 3))
-        rows.reshape(-1, 3)[band.pixels - (self.top + len(self.image)) * width] = normals
+        rows = np.zeros((band.bottom - self.top - len(self.image), width, 4))
+        rows.reshape(-1, 4)[band.pixels - (self.top + len(self.image)) * width] = found
         self.image = np.concatenate([self.image, rows])
 
     def between(self, top: int, bottom: int) -> NDArray[np.float64]:
@@ -123,9 +124,16 @@ class _Rows:
         return out
 
 
-def _finish(band: Band, rows: NDArray[np.float64], known: _Rows) -> tuple[Band, NDArray[np.float64]]:
+def _finish(
+    band: Band, rows: NDArray[np.float64], known: _Rows, surface: bool
+) -> tuple[Band, NDArray[np.float64]]:  # fmt: skip
     top, bottom = band.top - CONTEXT, band.bottom + CONTEXT
-    spread = spreads(known.between(top, bottom))
-    width = spread.shape[1]
-    surface_widths(rows, spread.reshape(-1, 3, 3)[band.pixels - top * width])
+    found = known.between(top, bottom)
+    normals, directed = found[..., :3], found[..., 3] > 0
+    pixels = band.pixels - top * found.shape[1]
+    if directed.any():
+        kept = borne_out(normals, directed).reshape(-1)[pixels]
+        rows[~kept, columns()["tangent"]] = 0.0
+    if surface:
+        surface_widths(rows, spreads(normals).reshape(-1, 3, 3)[pixels])
     return band, rows

@@ -6,7 +6,8 @@ import math
 
 from numba import njit
 
-from pipeline.lights.numerics import ZERO, solve3
+from pipeline.lights.numerics import LARGEST, ONE, ZERO, solve3
+from stages.olat.diffuse import weighted_equations
 
 ROUNDS = 2  # M of Algorithm 1
 GAP = 0.1  # epsilon of Algorithm 1, of the brightest sample
@@ -35,22 +36,14 @@ def total(light, ok, area):
 
 
 @njit(cache=True, error_model="numpy")
-def correlation_normal(light, use, incident, o):
-    """PRF Eq. 13: the reflected direction whose cosine correlates best, `r ∝ (ΩᵀΩ)⁻¹ Ωᵀ I`, and `n = N(r + o)`."""
-    a = b = c = d = e = f = x = y = z = 0.0
-    for k in range(light.size):
-        u = use[k]
-        p, q, r = incident[0][k], incident[1][k], incident[2][k]
-        a += u * p * p
-        b += u * p * q
-        c += u * p * r
-        d += u * q * q
-        e += u * q * r
-        f += u * r * r
-        v = u * light[k]
-        x += v * p
-        y += v * q
-        z += v * r
+def correlation_normal(light, use, incident, o, weight):
+    """PRF Eq. 13: the reflected direction whose cosine correlates best, `r ∝ (ΩᵀΩ)⁻¹ Ωᵀ I`, and `n = N(r + o)`.
+
+    `weight` [N] is workspace.
+    """
+    a, b, c, d, e, f, x, y, z, _, _ = weighted_equations(
+        light, use, incident[0], incident[1], incident[2], ZERO, ZERO, ZERO, -ONE, ZERO, -LARGEST, ZERO, weight
+    )
     rx, ry, rz, found = solve3(a, b, c, d, e, f, x, y, z)
     size = math.sqrt(rx * rx + ry * ry + rz * rz)
     if not found or size == 0:

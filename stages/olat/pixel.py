@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 
 from pipeline.lights.lobes import values
-from pipeline.lights.numerics import FAST, ONE, ZERO
+from pipeline.lights.numerics import FAST, HALF, ONE, ZERO
 from pipeline.lights.stack import matrix, vector
 from stages.olat.columns import (
     ALBEDO_D,
@@ -41,7 +41,7 @@ from stages.olat.paper import (
 )
 from stages.olat.separation import separate
 from stages.olat.settings import CORRELATION, JOINT, ROUND
-from stages.olat.specular import LOBE_FRACTION, SIGMA_MAX, frame_about, half_vectors, start_normal, widths
+from stages.olat.specular import LOBE_FRACTION, frame_about, half_vectors, start_normal, sums, widths
 from stages.olat.visibility import behind, diffuse_maps, printed_maps, specular_maps
 
 BAD_SHARE = 0.1  # of a pixel's samples that may be not finite before the pixel is flagged
@@ -49,6 +49,7 @@ NOISE_FLOOR = 1e-3  # of the brightest sample: half floats are this coarse
 FIXED = -1.0  # tie of a normal that is not to move
 UNKNOWN = 1e6  # variance (rad²) of a normal that was not measured
 ONE_WAY = 0.75  # order of a pixel's tangents below which it has no one tangent
+WIDEST = 2.2  # of a lobe: the width of one that fills the hemisphere (slopes beyond 65 degrees) is not told by the samples
 LIT_LIGHTS = 4  # three determine a normal and its albedo exactly; only a fourth can contradict them
 EFFECTIVE_LIGHTS = 3.0  # a lobe seen by fewer has no width
 
@@ -68,6 +69,16 @@ def _albedo(rgb, diffuse, wx, wy, wz, nx, ny, nz, weight, out):
         out[0], out[1], out[2] = r / den, g / den, b / den
     else:
         out[0] = out[1] = out[2] = ZERO
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def _in_use(weight):
+    """Sum of the weights, and how many of them count."""
+    s = n = ZERO * weight[0]
+    for k in range(weight.size):
+        s += weight[k]
+        n += ONE if weight[k] > HALF * HALF else ZERO
+    return float(s), float(n)
 
 
 @njit(cache=True, error_model="numpy")
@@ -134,16 +145,12 @@ def fit_pixel(cross, parallel, w, o, area, energy, settings, room, out):
         _albedo(room.rgb, room.diffuse, w[0], w[1], w[2], nx, ny, nz, room.weight, out[ALBEDO_D:])
         for k in range(3):
             out[ALBEDO_D + k] = max(out[ALBEDO_D + k], 0.0)
-        in_use = 0.0
-        lit = 0
-        for k in range(count):
-            in_use += room.weight[k]
-            lit += 1 if room.weight[k] > 0.25 else 0
+        in_use, lit = _in_use(room.weight)
         if lit < LIT_LIGHTS and flag == GOOD:
             flag = TOO_FEW  # solved, but with nothing to spare
         variance_d = (scale / size) ** 2 * 3.0 / max(in_use, 1.0)
         zeta = 2 * behind(room.diffuse, room.ok, w[0], w[1], w[2], nx, ny, nz) + NOISE_FLOOR * top_d
-        square_d, data_d = diffuse_maps(room, w, area, n_d[0], n_d[1], n_d[2], size, zeta, out)
+        square_d, data_d = diffuse_maps(room, w, area, n_d, size, zeta, out)
         if settings.printed_maps:
             printed_maps(room.diffuse, room, w, n_d, zeta, out, False)
     elif flag == GOOD:
@@ -191,6 +198,10 @@ def fit_pixel(cross, parallel, w, o, area, energy, settings, room, out):
         if not math.isfinite(out[k]):
             out[k] = 0.0
             out[FLAG] = BAD_SAMPLES
+    if out[FLAG] == BAD_SAMPLES:
+        for at in (NORMAL_D, NORMAL_S, NORMAL):
+            if out[at] == 0 and out[at + 1] == 0 and out[at + 2] == 0:
+                out[at], out[at + 1], out[at + 2] = o[0], o[1], o[2]
     return norm, passes
 
 
@@ -219,18 +230,7 @@ def _specular(n, w, o, area, settings, n_d, solved, top_d, room, out):
     half = (room.half[0, :n], room.half[1, :n], room.half[2, :n])
     incident = (room.incident[0, :n], room.incident[1, :n], room.incident[2, :n])
     half_vectors(incident[0], incident[1], incident[2], kind(o[0]), kind(o[1]), kind(o[2]), half[0], half[1], half[2], cosine)
-    top = noise = whole = squares = clipped = negative = 0.0
-    for j in range(n):
-        v = light[j]
-        if v < 0:
-            noise += v * v
-            negative += 1
-        elif use[j] > 0:
-            top = max(top, v)
-            whole += v
-            squares += v * v
-            clipped += v if floor[j] > 0 else 0.0
-    noise = math.sqrt(noise / negative) if negative > 0 else 0.0
+    top, whole, squares, clipped, noise = sums(light, use, floor)
     nothing = (False, n_d, 0.0, 0, UNKNOWN, 0.0, 0.0, NO_LOBE)
     if not (top > 5 * noise and top > 1e-4 * top_d):
         return nothing
@@ -242,7 +242,7 @@ def _specular(n, w, o, area, settings, n_d, solved, top_d, room, out):
     frame, shape, rho = matrix(3, 3), vector(3), vector(1)
     tie, tied = settings.prior, n_d
     if settings.specular_fit == CORRELATION:
-        a, b, c, found = correlation_normal(light, use, incident, o)
+        a, b, c, found = correlation_normal(light, use, incident, o, weight)
         if found and a * o[0] + b * o[1] + c * o[2] > 0.02:
             x, y, z = a, b, c
     if settings.specular_fit != JOINT:
@@ -266,7 +266,7 @@ def _specular(n, w, o, area, settings, n_d, solved, top_d, room, out):
     large, small, angle = widths(shape)
     if not (math.isfinite(large) and math.isfinite(small) and math.isfinite(rho[0]) and math.isfinite(frame[2, 0])):
         return nothing
-    if large >= 0.99 * SIGMA_MAX or not rho[0] > 0:
+    if large > WIDEST or not rho[0] > 0:
         flag = NO_LOBE
     out[ALBEDO_S] = rho[0]
     out[SIGMA], out[SIGMA + 1] = large, small
@@ -277,7 +277,7 @@ def _specular(n, w, o, area, settings, n_d, solved, top_d, room, out):
             out[TANGENT + k] = math.cos(angle) * frame[0, k] + math.sin(angle) * frame[1, k]
     n_s = (frame[2, 0], frame[2, 1], frame[2, 2])
     zeta = 2 * noise + 0.01 * top
-    square, data = specular_maps(room, n, g, rho[0], zeta, area, w, n_s[0], n_s[1], n_s[2], out)
+    square, data = specular_maps(room, n, g, rho[0], zeta, area, w, n_s, out)
     if settings.printed_maps:
         printed_maps(room.specular, room, w, n_s, zeta, out, True)
     in_lobe = max(whole * whole / squares, 1.0)

@@ -145,6 +145,7 @@ def fit_camera(
 ) -> None:
     """Fit and write one camera from its pieces."""
     parameters: OlatParameters = stage.parameters
+    surface = parameters.widths == "surface"
     view = -job.camera.rays().reshape(-1, 3)
     counts, directed = np.zeros(len(FLAGS), int), 0
     drift: Drift | None = None
@@ -163,8 +164,7 @@ def fit_camera(
                 bar.advance(len(rows))
                 yield piece.samples.band, rows
 
-        surface = parameters.widths == "surface" and not settings.gradient
-        for band, rows in with_neighbours(fitted(), job.camera.width) if surface else fitted():
+        for band, rows in with_neighbours(fitted(), job.camera.width, surface) if not settings.gradient else fitted():
             if parameters.albedo_over_occlusion:
                 divide_by_occlusion(rows)
             counts += np.bincount(rows[:, FLAG].astype(int), minlength=len(FLAGS))

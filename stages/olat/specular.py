@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 from numba import njit
 
 from pipeline.lights import stack
@@ -15,6 +16,7 @@ from pipeline.lights.lobes import normal_equations
 from pipeline.lights.numerics import FAST, ONE, ZERO, cholesky_solve, copy1, copy2
 
 LOBE_FRACTION = 0.05  # of the brightest sample: below it noise, not the lobe, would weigh the half vectors
+LEAST_COSINE = np.float32(0.05)  # h·o below it is all but opposite the view: no lobe of a surface that is seen
 SIGMA_MIN, SIGMA_MAX = 1e-3, 10.0
 SHAPE_MAX, SHAPE_MIN = -math.log(SIGMA_MIN), -math.log(SIGMA_MAX)
 
@@ -61,35 +63,76 @@ def half_vectors(ix, iy, iz, ox, oy, oz, hx, hy, hz, cosine):
         cosine[k] = (x * ox + y * oy + z * oz) * r
 
 
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def _sums(light, use, floor):
+    top = whole = squares = clipped = noise = negative = ZERO * light[0]
+    for k in range(light.size):
+        v, u, clip = light[k], use[k], floor[k]
+        under = v < ZERO
+        noise += v * v if under else ZERO
+        negative += ONE if under else ZERO
+        v = v if (u > ZERO) & (not under) else ZERO
+        top = max(top, v)
+        whole += v
+        squares += v * v
+        clipped += v if clip > ZERO else ZERO
+    return top, whole, squares, clipped, noise, negative
+
+
+@njit(cache=True, error_model="numpy")
+def sums(light, use, floor):
+    """Of the samples in use: largest, sum, sum of squares, sum of the clipped; and the deviation that negative ones betray."""
+    top, whole, squares, clipped, noise, negative = _sums(light, use, floor)
+    deviation = math.sqrt(noise / negative) if negative > 0 else 0.0
+    return float(top), float(whole), float(squares), float(clipped), deviation
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def _weighted(light, weight, level, area, hx, hy, hz, cosine):
+    x = y = z = n = ZERO * level
+    for k in range(light.size):
+        v, c, used = light[k], cosine[k], weight[k]
+        chosen = (v > level) & (used > ZERO) & (c > LEAST_COSINE)
+        w = v * area[k] / max(c, LEAST_COSINE)
+        w = w if chosen else ZERO
+        x += w * hx[k]
+        y += w * hy[k]
+        z += w * hz[k]
+        n += ONE if chosen else ZERO
+    return x, y, z, n
+
+
 @njit(cache=True, error_model="numpy")
 def start_normal(light, weight, level, area, h, cosine):
     """Weighted half vector `Σ I ΔΩ h / (h·o)` over samples above `level`. Returns its direction and the samples' number."""
-    x = y = z = 0.0
-    count = 0
+    x, y, z, count = _weighted(light, weight, light.dtype.type(level), area, h[0], h[1], h[2], cosine)
+    size = math.sqrt(float(x) * x + float(y) * y + float(z) * z)
+    return (x / size, y / size, z / size, int(count)) if size > 0 else (0.0, 0.0, 0.0, 0)
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def _moments(light, weight, level, area, hx, hy, hz, cosine, tx, ty, tz, bx, by, bz):
+    xx = xy = yy = total = ZERO * level
     for k in range(light.size):
-        if light[k] > level and weight[k] > 0 and cosine[k] > 0.05:
-            w = light[k] * area[k] / cosine[k]
-            x += w * h[0][k]
-            y += w * h[1][k]
-            z += w * h[2][k]
-            count += 1
-    size = math.sqrt(x * x + y * y + z * z)
-    return (x / size, y / size, z / size, count) if size > 0 else (0.0, 0.0, 0.0, 0)
+        v, c, used = light[k], cosine[k], weight[k]
+        chosen = (v > level) & (used > ZERO) & (c > LEAST_COSINE)
+        w = v * area[k] / max(c, LEAST_COSINE)
+        w = w if chosen else ZERO
+        x = hx[k] * tx + hy[k] * ty + hz[k] * tz
+        y = hx[k] * bx + hy[k] * by + hz[k] * bz
+        xx += w * x * x
+        xy += w * x * y
+        yy += w * y * y
+        total += w
+    return float(xx), float(xy), float(yy), float(total)
 
 
 @njit(cache=True, error_model="numpy")
 def start_shape(light, weight, level, area, h, cosine, frame, shape):
     """A, B, C from the second moments of the projected half vectors (variance = sigma² / 2 in each direction)."""
-    xx = xy = yy = total = 0.0
-    for k in range(light.size):
-        if light[k] > level and weight[k] > 0 and cosine[k] > 0.05:
-            w = light[k] * area[k] / cosine[k]
-            x = h[0][k] * frame[0, 0] + h[1][k] * frame[0, 1] + h[2][k] * frame[0, 2]
-            y = h[0][k] * frame[1, 0] + h[1][k] * frame[1, 1] + h[2][k] * frame[1, 2]
-            xx += w * x * x
-            xy += w * x * y
-            yy += w * y * y
-            total += w
+    kind = light.dtype.type
+    t, b = (kind(frame[0, 0]), kind(frame[0, 1]), kind(frame[0, 2])), (kind(frame[1, 0]), kind(frame[1, 1]), kind(frame[1, 2]))
+    xx, xy, yy, total = _moments(light, weight, kind(level), area, h[0], h[1], h[2], cosine, t[0], t[1], t[2], b[0], b[1], b[2])
     xx, xy, yy = 2 * xx / total + 1e-4, 2 * xy / total, 2 * yy / total + 1e-4  # 1e-4: sigma no narrower than 0.01 to start
     set_shape(xx, xy, yy, shape)
 

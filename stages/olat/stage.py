@@ -112,7 +112,7 @@ def run(stage: StageRun) -> None:
 
 STAGE = Stage(
     name="olat",
-    version=3,
+    version=4,
     parameters=OlatParameters,
     needs=("decode", "masks"),
     needed=needed,

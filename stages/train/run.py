@@ -162,12 +162,12 @@ def write_log(path: Path, rows: list[dict[str, float]]) -> None:
 
 
 def finish_polarisers(trainer: Trainer, stage: StageRun) -> None:
-    """Standard deviations from the curvature at the end, and a warning where the capture cannot determine the Stokes vector."""
+    """Standard deviations at the end, and a warning where the capture cannot determine the Stokes vector."""
     bank = trainer.scene.bank
     assert bank is not None
-    for name, (_, std, _) in trainer.estimate_angles(0).items():
+    for name, fit in trainer.estimate_angles(0).items():
         k = bank.names.index(name)
-        bank.std_deg[k] = 0.0 if bank.trusted[k] else float(np.degrees(std))
+        bank.std_deg[k] = 0.0 if bank.trusted[k] else float(np.degrees(fit.std))
     reason = bank.undetermined()
     if reason:
         stage.warn(f"the capture does not determine the polarisation: {reason}")

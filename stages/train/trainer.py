@@ -23,7 +23,7 @@ from .model import SplatModel, Splats
 from .occlusion import LEAST_BLOCKED, Occluder, SplatOcclusion, carried_hull, trace_pixels, trace_splats, view_occlusion
 from .optimiser import Group, SurfaceAdam
 from .parameters import TrainParameters
-from .polarisers import AngleSums, PolariserBank, fit_angle
+from .polarisers import AngleFit, AngleSums, PolariserBank, fit_views
 from .render import Rendered, rasterise_view, render_view
 from .schedule import Phase, epoch_order, phase_at
 from .structure import dssim
@@ -240,9 +240,9 @@ class Trainer:
         phase = self.phase(self.iteration)
         if self.scene.bank is not None and self.iteration in ANGLE_STEPS and phase.level == 0:
             known = dict(zip(self.scene.bank.names, self.scene.bank.known))
-            for name, (angle, _, _) in self.estimate_angles(phase.level).items():
+            for name, fit in self.estimate_angles(phase.level).items():
                 if not known[name]:  # a told angle is nearer than a half-trained model's estimate
-                    self.scene.bank.set_angle(name, angle)
+                    self.scene.bank.set_angle(name, fit.angle)
         view = self.view_at(self.iteration, phase)
         rendered = self.render(view, phase.level)
         terms = self.loss_terms(view, rendered)
@@ -334,13 +334,13 @@ class Trainer:
         return sum(values) / len(values)
 
     @torch.no_grad()
-    def estimate_angles(self, level: int) -> dict[str, tuple[float, float, float]]:
-        """Closed-form angle, standard deviation (radians) and explained share per polariser, from all training views."""
+    def estimate_angles(self, level: int) -> dict[str, AngleFit]:
+        """Closed-form angle of every polariser, from all training views."""
         bank = self.scene.bank
         if bank is None:
             return {}
         light = self.light()
-        sums = {name: AngleSums.empty() for name in bank.names}
+        sums: dict[str, list[AngleSums]] = {name: [] for name in bank.names}
         for view in self.pyramids[level]:
             if view.split == "test":
                 continue
@@ -352,12 +352,10 @@ class Trainer:
             residual = slope * (measured - bank.intensity(stokes, view.camera.name))
             robust = torch.rsqrt(residual**2 + losses.CHARBONNIER**2)
             weight = slope**2 * robust * (view.colour_weight * view.inside)[:, None]
-            sums[view.camera.name].add(stokes, 2 * view.target[:, 0], weight)
-        out = {}
-        for k, name in enumerate(bank.names):
-            fit = fit_angle(sums[name], float(bank.contrast[k]))
-            out[name] = (fit.angle, fit.std, fit.explained)
-        return out
+            seen = AngleSums.empty()
+            seen.add(stokes, measured, weight)
+            sums[view.camera.name].append(seen)
+        return {name: fit_views(sums[name], float(bank.contrast[k])) for k, name in enumerate(bank.names)}
 
     def state(self) -> dict[str, Any]:
         """Everything the next step depends on. Call it at a CYCLE boundary: graph and occlusion are rebuilt there."""

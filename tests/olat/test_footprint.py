@@ -8,6 +8,7 @@ import pytest
 from stages.olat.bands import Band
 from stages.olat.columns import WIDTH, columns
 from stages.olat.footprint import spreads, surface_widths, with_neighbours
+from stages.olat.tangents import borne_out
 
 AT = columns()
 
@@ -59,6 +60,7 @@ def test_bands_do_not_change_the_widths():
         for top, bottom in pairwise(edges):
             pixels = np.flatnonzero(inside[top:bottom]) + top * inside.shape[1]
             rows = rows_of(normals, (0.3, 0.2))[np.searchsorted(np.flatnonzero(inside), pixels)]
+            rows[pixels % 3 == 0, AT["tangent"]] = 0  # some have no tangent, and others lose it
             bands.append((Band(top, bottom, pixels), rows))
         return np.concatenate([rows for _, rows in with_neighbours(bands, inside.shape[1])])
 
@@ -89,3 +91,18 @@ def test_the_spread_below_a_pixel_is_told_from_the_neighbours(frequency):
     mean = blocks.mean(2)
     found = np.trace(spreads(mean / np.linalg.norm(mean, axis=-1, keepdims=True)), axis1=2, axis2=3)
     assert found[2:-2, 2:-2].mean() == pytest.approx(true[2:-2, 2:-2].mean(), rel=0.15)
+
+
+def test_a_tangent_among_pixels_that_have_none_is_dropped():
+    normals = np.zeros((9, 9, 3))
+    normals[1:8, 1:8, 2] = 1
+    normals[6:8, 6:8] = (1, 0, 0)  # a corner of another surface
+    directed = np.zeros((9, 9), bool)
+    directed[1, 1:8] = directed[2, 1:8] = True  # an area that has tangents
+    directed[5, 2] = True  # one that stands alone
+    directed[7, 7] = True  # one of a surface of four pixels
+    kept = borne_out(normals, directed)
+    assert kept[1:3, 1:8].all() and not kept[5, 2] and not kept[7, 7]
+    alone = np.zeros((3, 3, 3))
+    alone[1, 1, 2] = 1
+    assert borne_out(alone, alone[..., 2] > 0)[1, 1]

@@ -83,10 +83,22 @@ def test_no_specular_light_is_no_lobe_and_the_diffuse_normal_stands_in():
     assert np.allclose(rows[:, AT["specular_normal"]], rows[:, AT["diffuse_normal"]])
 
 
-def test_a_lobe_wider_than_the_hemisphere_stays_finite():
-    p = make(50, sigma=(5.0, 5.0), seed=4)
+@pytest.mark.parametrize("sigma", [3.0, 5.0, 50.0])
+def test_a_lobe_wider_than_the_hemisphere_is_flagged_and_leaves_the_normals(sigma):
+    p = make(50, sigma=(sigma, sigma), seed=4)
     rows = run(p)
+    assert np.mean(rows[:, FLAG] == NO_LOBE) > 0.8
     assert np.all(rows[:, AT["sigma"]] <= 10.0)
+    assert np.median(angle_deg(rows[:, AT["normal"]], p.normal)) < 0.1
+
+
+def test_samples_that_overflow_leave_unit_normals():
+    p = make(50, seed=4)
+    for scale in (1e-30, 1e30):
+        p.cross, p.parallel = p.cross * scale, p.parallel * scale
+        rows = run(p)
+        for name in ("normal", "diffuse_normal", "specular_normal"):
+            assert np.allclose(np.linalg.norm(rows[:, AT[name]], axis=1), 1, atol=1e-3)
 
 
 def test_a_grazing_view_stays_finite_and_right():

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from pipeline.capture.model import PolariserPrior
-from stages.train.polarisers import AngleSums, PolariserBank, fit_angle
+from stages.train.polarisers import BENT, AngleSums, PolariserBank, fit_angle, fit_views
 
 
 def stokes_field(count: int = 4000) -> torch.Tensor:
@@ -40,6 +40,33 @@ def test_unpolarised_data_give_no_precision():
     sums = AngleSums.empty()
     sums.add(stokes, stokes[:, 0] + 0.01 * torch.randn(len(stokes), 3), torch.ones(len(stokes), 1))
     assert math.degrees(fit_angle(sums, 1.0).std) > 30
+
+
+def turned_views(off_degrees) -> list[AngleSums]:
+    """One view for each offset: what it measures is behind a polariser at 23 degrees, its model turned by the offset."""
+    bank = PolariserBank({"a": PolariserPrior()}, ["a"])
+    out = []
+    for off in off_degrees:
+        bank.set_angle("a", math.radians(23.0))
+        stokes = stokes_field()
+        measured = bank.intensity(stokes, "a").detach()
+        turn = torch.tensor(math.radians(2 * off))
+        s1, s2 = stokes[:, 1].clone(), stokes[:, 2].clone()
+        stokes[:, 1], stokes[:, 2] = torch.cos(turn) * s1 - torch.sin(turn) * s2, torch.sin(turn) * s1 + torch.cos(turn) * s2
+        sums = AngleSums.empty()
+        sums.add(stokes, measured + 0.02 * torch.randn_like(measured), torch.ones(len(stokes), 1))
+        out.append(sums)
+    return out
+
+
+def test_views_that_disagree_say_how_uncertain_an_angle_is():
+    off = 3.0 * np.random.default_rng(0).standard_normal(16)
+    fit = fit_views(turned_views(off), 1.0)
+    expected = BENT * off.std(ddof=1) / math.sqrt(len(off))
+    assert math.degrees(fit.std) == pytest.approx(expected, rel=0.15)
+    assert math.degrees(fit.angle) == pytest.approx(23.0 + off.mean(), abs=0.3)
+    assert math.degrees(fit_angle(turned_views([3.0])[0], 1.0).std) < 0.5  # pixels alone would claim that
+    assert math.degrees(fit_views(turned_views([3.0]), 1.0).std) > 45  # one view cannot tell
 
 
 def test_an_unknown_angle_counts_for_nothing_until_it_is_estimated():
