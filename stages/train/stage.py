@@ -52,7 +52,7 @@ def run(stage: StageRun) -> None:
 
 STAGE = Stage(
     name="train",
-    version=4,
+    version=5,
     parameters=TrainParameters,
     needs=("decode", "poses", "masks"),
     needed=needed,

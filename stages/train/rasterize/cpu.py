@@ -114,7 +114,8 @@ class _Rasterize(torch.autograd.Function):
         records = np.empty((len(tile_used), BLOCKS * BLOCKS * record), np.float32)  # filled where layers end
         run_on_all_cores(
             blend_tiles, tile_start, pair_splat, pair_slot, geo, attributes, view.mask, view.screen, view.layer,
-            blended, normal, scalars, pair_weight, tile_used, tile_state, records, row_buffers(forward_room(attributes.shape[1])),
+            blended, normal, scalars, pair_weight, tile_used, tile_state, records,
+            row_buffers(forward_room(attributes.shape[1])),
         )  # fmt: skip
         largest_weights(slot_start, pair_weight, view.visible)
         ctx.view, ctx.pairs, ctx.tiles, ctx.splats = view, pairs, (tile_used, tile_state, records), (geo, attributes)
