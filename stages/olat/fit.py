@@ -17,7 +17,7 @@ from pipeline.lights import native
 from stages.olat.columns import WIDTH
 from stages.olat.settings import ROOM, Settings
 
-SHARE = 256  # pixels that a thread takes at a time
+SHARE = 64  # pixels that a thread takes at a time: a few milliseconds, so that threads end together
 ARGUMENTS = ("int64",) * 5 + ("pointer",) * 14
 
 
@@ -72,11 +72,16 @@ def fit(
     kernel = _kernel(stored.name, precision)
     first, last = part or (0, pixels)
 
-    def share(start: int) -> None:
-        room, front = np.empty(ROOM * count, kind), np.empty(count, np.int64)
-        addresses = (array.ctypes.data for array in (*arrays, room, front, out, norms))
-        kernel(start, min(start + SHARE, last), count, pixels, points is not None, *addresses)
+    workers = threads or os.cpu_count() or 1
+    rooms = [(np.empty(ROOM * count, kind), np.empty(count, np.int64)) for _ in range(workers)]
+    given = [array.ctypes.data for array in arrays]
 
-    with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
+    def share(start: int) -> None:
+        room, front = own = rooms.pop()
+        addresses = (array.ctypes.data for array in (room, front, out, norms))
+        kernel(start, min(start + SHARE, last), count, pixels, points is not None, *given, *addresses)
+        rooms.append(own)
+
+    with ThreadPoolExecutor(workers) as pool:
         list(pool.map(share, range(first, last, SHARE)))
     return out[first:last], norms[first:last]

@@ -132,11 +132,11 @@ def choose_lobe(stage: StageRun, pilot: list[Piece], rig: LightTable, settings: 
     )
     view = -camera.rays().reshape(-1, 3)[np.concatenate([part.band.pixels[::step] for part, step in zip(parts, steps)])]
     points = nearest_points(camera, view) if stage.capture.config.olat.near_light else None
-    found = {}
-    for name in ("ward", "beckmann"):
-        trial = settings._replace(lobe=LOBES[name])
-        rows, _ = fit(cross, parallel, view, rig, trial, parameters.precision, points)
-        found[name] = rows
+
+    def rows_of(name: str) -> NDArray[np.float64]:
+        return fit(cross, parallel, view, rig, settings._replace(lobe=LOBES[name]), parameters.precision, points)[0]
+
+    found = {name: rows_of(name) for name in ("ward", "beckmann")}
     sound = (found["ward"][:, FLAG] == 0) & (found["beckmann"][:, FLAG] == 0)
     better = found["beckmann"][sound, RESIDUAL] < found["ward"][sound, RESIDUAL]
     share = float(better.mean()) if sound.any() else 0.0
