@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import gc
 import json
 import os
 from collections.abc import Iterator
@@ -58,7 +57,6 @@ def run(stage: StageRun, lanes: Lanes) -> None:
     if not ready(half, parameters.precision):
         stage.progress.say("compiling the fits for this machine (once; about a minute)")
     load(half, parameters.precision)  # while the first band is read
-    gc.enable()  # `reading` had switched it off
     pilot, lanes.pieces[0] = _pilot(lanes.pieces[0])
     settings = choose_lobe(stage, pilot, rig, settings)
     del pilot  # it may be a whole band
