@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass
+from importlib.metadata import version
 from itertools import groupby
 from typing import Any
 
@@ -57,6 +58,7 @@ def run(stage: StageRun, lanes: Lanes) -> None:
     if not ready(half, parameters.precision):
         stage.progress.say("compiling the fits for this machine (once; about a minute)")
     load(half, parameters.precision)  # while the first band is read
+    stage.note("kernels", f"numba {version('numba')}")  # it compiled them, but need not be loaded
     pilot, lanes.pieces[0] = _pilot(lanes.pieces[0])
     settings = choose_lobe(stage, pilot, rig, settings)
     del pilot  # it may be a whole band
