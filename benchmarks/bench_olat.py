@@ -94,7 +94,7 @@ def main() -> None:
         elif part == "noise":
             print("  no --captures given")
         elif part == "frames":
-            record["frames"] = olat_frames.large_frames()
+            record["frames"] = olat_frames.large_frames(options.captures)
         else:
             pixels = make(options.zoo_pixels, sigma=(0.3, 0.2), noise=1e-3, seed=3)
             record["ours"] = {q: asdict(c) for q, c in olat_zoo.table_ours(pixels).items()}

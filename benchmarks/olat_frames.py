@@ -11,13 +11,17 @@ import tempfile
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from benchmarks.olat_pixels import VIEW, make, rig_of, unit
-from pipeline.images import write_exr, write_mask
+from pipeline.images import read_mask, write_exr, write_mask
+from stages.olat.bands import bands_of
+from stages.olat.frames import is_half, read_bands
+from stages.olat.stage import OlatParameters
 
-REPEATS = 3
+REPEATS = 5
 BASE = 2000  # pixels that a frame is drawn from, at random: as incompressible as noise makes real frames
 CAMERA = """#focal length
 {focal} {focal}
@@ -66,52 +70,76 @@ def write_capture(root: Path, width: int, height: int, lights: int, disc: float 
     return int(mask.sum())
 
 
-def read_only(root: Path, dataset: Path) -> tuple[float, float]:
-    """Wall and processor seconds to read the same bands of the same frames and drop them."""
-    from pipeline.images import read_mask
-    from stages.olat.bands import bands_of
-    from stages.olat.frames import read_bands
-    from stages.olat.stage import OlatParameters
-
-    entry = json.loads((dataset / "decode" / "current" / "olat.json").read_text())["cameras"]["cam00"]
-    cross, parallel = ([root / path for path in entry[key]] for key in ("cross", "parallel"))
-    mask = read_mask(root / entry["mask"])
-    bands = bands_of(mask, len(cross), OlatParameters().band_mb, 2)
-    start, cpu = time.perf_counter(), time.process_time()
-    for _ in read_bands(cross, parallel, bands, (mask.shape[1], mask.shape[0]), True):
-        pass
-    return time.perf_counter() - start, time.process_time() - cpu
+def read_only(root: Path, dataset: Path) -> float:
+    """Wall seconds to read the bands that the stage reads, with its reader and its threads, and drop them."""
+    start = time.perf_counter()
+    for name, entry in _cameras(dataset).items():
+        cross, parallel = ([root / path for path in entry[key]] for key in ("cross", "parallel"))
+        made = dataset / "masks" / "current" / f"{name}.png"
+        mask = read_mask(made if made.is_file() else root / entry["mask"])
+        bands = bands_of(mask, len(cross), OlatParameters().band_mb, 2)
+        for _ in read_bands(cross, parallel, bands, (mask.shape[1], mask.shape[0]), is_half(cross[0])):
+            pass
+    return time.perf_counter() - start
 
 
-def measure(width: int, height: int, lights: int) -> dict[str, float]:
-    """Write a capture, run the stage on it in a process of its own and read it alone, in turn; medians of `REPEATS`."""
+def read_by_openimageio(root: Path, dataset: Path, threads: int) -> float:
+    """Wall seconds to read the same frames whole, one after another, through OpenImageIO."""
+    import OpenImageIO as oiio
+
+    def read(path: str) -> None:
+        image = oiio.ImageInput.open(path)
+        image.read_image(image.spec().format)
+        image.close()
+
+    paths = [str(root / p) for entry in _cameras(dataset).values() for key in ("cross", "parallel") for p in entry[key]]
+    start = time.perf_counter()
+    with ThreadPoolExecutor(threads) as pool:
+        list(pool.map(read, paths))
+    return time.perf_counter() - start
+
+
+def _cameras(dataset: Path) -> dict[str, Any]:
+    return json.loads((dataset / "decode" / "current" / "olat.json").read_text())["cameras"]
+
+
+def measure(root: Path) -> dict[str, float | str]:
+    """Run the stage on a capture in a process of its own and read its frames alone, in turn; medians of `REPEATS`."""
     with tempfile.TemporaryDirectory() as made:
-        root, dataset = Path(made) / "capture", Path(made) / "dataset"
-        pixels = write_capture(root, width, height, lights)
+        dataset = Path(made) / "dataset"
         command = [sys.executable, "-m", "stages", "olat", str(root), "--dataset", str(dataset)]
         runs = []
-        for _ in range(REPEATS):
+        for turn in range(REPEATS + 1):
             shutil.rmtree(dataset / "olat", ignore_errors=True)
             subprocess.run(command, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
             manifest = json.loads((dataset / "olat" / "current" / "manifest.json").read_text())
-            reading, reading_cpu = read_only(root, dataset)
-            wall, cpu = manifest["wall_s"], manifest["cpu_s"]
+            wall, reading = manifest["wall_s"], read_only(root, dataset)
+            plain = {f"openimageio_{n}_s": read_by_openimageio(root, dataset, n) for n in (2, 1)}
+            if turn == 0:
+                continue  # it may have compiled the kernels
             runs.append({
-                "wall_s": wall, "cpu_s": cpu, "reading_s": reading, "wall_over_reading": wall / reading,
-                "reading_cpu_s": reading_cpu, "cpu_over_reading": cpu / reading_cpu, "peak_rss_mb": manifest["peak_rss_mb"],
-                "load": os.getloadavg()[0],
+                "wall_s": wall, "cpu_s": manifest["cpu_s"], "peak_rss_mb": manifest["peak_rss_mb"], "reading_s": reading,
+                **plain,
+                "wall_over_reading": wall / reading, "wall_over_openimageio_2": wall / plain["openimageio_2_s"],
+                "wall_over_openimageio_1": wall / plain["openimageio_1_s"], "load": os.getloadavg()[0],
             })  # fmt: skip
-    found: dict[str, float] = {"width": width, "height": height, "lights": lights, "pixels": pixels}
+        pixels = sum(sum(facts.values()) for key, facts in manifest["facts"].items() if key.endswith(".flags"))
+        width, height = (int(next(iter(_cameras(dataset).values()))[key]) for key in ("width", "height"))
+    found: dict[str, float | str] = {"capture": root.name, "width": width, "height": height, "pixels": pixels}
     found |= {key: float(np.median([run[key] for run in runs])) for key in runs[0]}
-    print("  " + "  ".join(f"{k} {v:.4g}" for k, v in found.items()), flush=True)
+    print("  " + "  ".join(f"{k} {v if isinstance(v, str) else format(v, '.4g')}" for k, v in found.items()), flush=True)
     return found
 
 
-def large_frames(width: int = 192, heights: tuple[int, ...] = (256, 1536), lights: int = 346) -> list[dict[str, float]]:
-    """`measure` at growing heights; a small first run leaves compilation out."""
-    with tempfile.TemporaryDirectory() as made:
-        root = Path(made) / "capture"
-        write_capture(root, 64, 64, 60)
-        command = [sys.executable, "-m", "stages", "olat", str(root), "--dataset", str(Path(made) / "dataset")]
-        subprocess.run(command, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    return [measure(width, height, lights) for height in heights]
+def large_frames(
+    captures: Path | None = None, width: int = 192, heights: tuple[int, ...] = (256, 1536), lights: int = 346
+) -> list[dict[str, float | str]]:
+    """`measure` on frames of noise at growing heights, and on the light stages with ground truth in `captures`."""
+    found = []
+    for height in heights:
+        with tempfile.TemporaryDirectory() as made:
+            root = Path(made) / f"noise-{width}x{height}"
+            write_capture(root, width, height, lights)
+            found.append(measure(root))
+    stages = sorted(path.parent for path in captures.glob("*/gt_brdf.json")) if captures else []
+    return found + [measure(root) for root in stages]

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+PART = 4000  # pixels fitted before they are written: a tenth of a second
 CHUNK_ROWS = 16  # scanlines that EXR's zip compresses together: a band that splits them reads them twice
 
 
@@ -63,3 +64,16 @@ def bands_of(mask: NDArray[np.bool_], lights: int, band_mb: float, itemsize: int
             bands.append(Band(top, bottom, pixels))
         top = bottom
     return bands
+
+
+def parts_of(band: Band, width: int) -> list[Band]:
+    """A band as parts of whole scanlines, each with about `PART` pixels or more."""
+    count = max(1, len(band.pixels) // PART)
+    wanted = (np.arange(1, count) * len(band.pixels)) // count
+    edges = np.unique([band.top, *(band.pixels[wanted] // width), band.bottom])
+    inside = np.searchsorted(band.pixels, edges * width)
+    return [
+        Band(int(edges[k]), int(edges[k + 1]), band.pixels[inside[k] : inside[k + 1]])
+        for k in range(len(edges) - 1)
+        if inside[k + 1] > inside[k]
+    ]

@@ -17,7 +17,7 @@ from pipeline.lights import native
 from stages.olat.columns import WIDTH
 from stages.olat.settings import ROOM, Settings
 
-SHARE = 256  # pixels that a thread takes at a time
+SHARE = 64  # pixels that a thread takes at a time: a few milliseconds, so that threads end together
 ARGUMENTS = ("int64",) * 5 + ("pointer",) * 14
 
 
@@ -51,12 +51,13 @@ def _kernel(sample: str, precision: str) -> native.Kernel:
 
 def fit(
     cross: NDArray, parallel: NDArray, view: NDArray, rig: LightTable, settings: Settings, precision: str = "float32",
-    points: NDArray | None = None, threads: int | None = None,
+    points: NDArray | None = None, threads: int | None = None, part: tuple[int, int] | None = None,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:  # fmt: skip
     """Fit the pixels of samples [N, P, 3] (half-float bits or floats) under a `LightTable` with solid angles.
 
-    view [P, 3]: unit, to the camera; points [P, 3]: where each pixel's surface is, for near lights. Returns rows float64
-    [P, WIDTH] and norms [P, 2] (specular gradient norm, passes). The result does not depend on the number of threads.
+    view [P, 3]: unit, to the camera; points [P, 3]: where each pixel's surface is, for near lights; part: fit only pixels
+    [first, last). Returns rows float64 [P, WIDTH] and norms [P, 2] (specular gradient norm, passes). The result does not depend
+    on the number of threads.
     """
     kind = np.dtype(precision)
     count, pixels = cross.shape[:2]
@@ -69,12 +70,18 @@ def fit(
         np.ascontiguousarray(rig.solid_angle, kind), np.ascontiguousarray(rig.intensity, kind), np.array(settings, np.float64),
     )  # fmt: skip
     kernel = _kernel(stored.name, precision)
+    first, last = part or (0, pixels)
+
+    workers = threads or os.cpu_count() or 1
+    rooms = [(np.empty(ROOM * count, kind), np.empty(count, np.int64)) for _ in range(workers)]
+    given = [array.ctypes.data for array in arrays]
 
     def share(start: int) -> None:
-        room, front = np.empty(ROOM * count, kind), np.empty(count, np.int64)
-        addresses = (array.ctypes.data for array in (*arrays, room, front, out, norms))
-        kernel(start, min(start + SHARE, pixels), count, pixels, points is not None, *addresses)
+        room, front = own = rooms.pop()
+        addresses = (array.ctypes.data for array in (room, front, out, norms))
+        kernel(start, min(start + SHARE, last), count, pixels, points is not None, *given, *addresses)
+        rooms.append(own)
 
-    with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
-        list(pool.map(share, range(0, pixels, SHARE)))
-    return out, norms
+    with ThreadPoolExecutor(workers) as pool:
+        list(pool.map(share, range(first, last, SHARE)))
+    return out[first:last], norms[first:last]

@@ -54,7 +54,6 @@ def _system(lobe, frame, x, o, h, i, light, floor, weight, rows, one, prior, n_d
     """Normal equations [SIZE, SIZE] of the mixture at x = (s1, s2, first angle, weights); returns the cost."""
     shape, slope = stack.vector(3), stack.matrix(2, 3)
     kind = light.dtype.type
-    n = light.size
     rows[:4] = ZERO
     for j in range(DIRECTIONS):
         shape_of(x[0], x[1], direction(x, j), shape, slope)
@@ -64,21 +63,14 @@ def _system(lobe, frame, x, o, h, i, light, floor, weight, rows, one, prior, n_d
             copy1(one[5], rows[4 + j])
         else:
             values(lobe, frame, shape, o, h, i, rows[4 + j])
-    cost = 0.0
-    for k in range(n):
-        r = -float(light[k])
-        for j in range(DIRECTIONS):
-            r += x[3 + j] * rows[4 + j, k]
-        w = float(weight[k])
-        if floor[k] > 0 and r > 0:
-            w = 0.0
-        one[0, k] = w
-        one[1, k] = w * r
-        cost += w * r * r
+    one[1] = ZERO
+    for j in range(DIRECTIONS):
+        if x[3 + j] > 0:
+            _add_scaled(rows[4 + j], kind(x[3 + j]), one[1])
+    cost = _residuals(light, floor, weight, one[1], one[0])
     for a in range(SIZE):
         gradient[a] = _dot(rows[a], one[1])
-        for k in range(n):
-            one[2, k] = rows[a, k] * one[0, k]
+        _times(rows[a], one[0], one[2])
         for b in range(a, SIZE):
             matrix[a, b] = matrix[b, a] = _dot(one[2], rows[b])
     return cost + hold(frame, n_d, prior, matrix, gradient)
@@ -95,6 +87,31 @@ def _add(one, rho, slope, rows):
         rows[1, k] += rho * one[1, k]
         rows[2, k] += a0 * one[2, k] + a1 * one[3, k] + a2 * one[4, k]
         rows[3, k] += b0 * one[2, k] + b1 * one[3, k] + b2 * one[4, k]
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def _add_scaled(row, factor, out):
+    for k in range(out.size):
+        out[k] += factor * row[k]
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def _times(a, b, out):
+    for k in range(out.size):
+        out[k] = a[k] * b[k]
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def _residuals(light, floor, weight, model, held):
+    """`model` becomes the weighted residual, `held` the weights (0 where a clipped sample's model is above it); the cost."""
+    cost = ZERO * light[0]
+    for k in range(light.size):
+        r, w, clipped = model[k] - light[k], weight[k], floor[k]
+        w = w if (clipped == ZERO) | (r <= ZERO) else ZERO
+        held[k] = w
+        model[k] = w * r
+        cost += w * r * r
+    return float(cost)
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")

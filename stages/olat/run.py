@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import gc
 import json
 import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import closing
+from dataclasses import dataclass
 from itertools import groupby
 from typing import Any
 
@@ -18,13 +19,13 @@ from pipeline.capture.model import LightTable
 from pipeline.lights.lobe_names import LOBES
 from pipeline.lights.solid_angles import solid_angles
 from pipeline.stage import StageRun
-from stages.olat.bands import Band
+from stages.olat.bands import Band, parts_of
 from stages.olat.cameras import PILOT, CameraJob, decoded
 from stages.olat.columns import FLAG, RESIDUAL, columns
 from stages.olat.drift import WARN_PX, Drift
 from stages.olat.fit import fit, load, ready
 from stages.olat.footprint import with_neighbours
-from stages.olat.frames import Samples
+from stages.olat.frames import Samples, ahead
 from stages.olat.maps_out import MapWriter
 from stages.olat.preview import write_preview
 from stages.olat.settings import SPECULAR_FITS, Settings
@@ -36,6 +37,7 @@ PRIOR = (1 / np.radians(0.5)) ** 2  # n_s and n_d of one surface agree to about 
 GAIN = 0.9
 MIXED = 1.0
 LEAST_LIGHT = 0.05
+NOTHING = np.empty((0, 0, 3), np.uint16)
 TOLERANCE = {"float32": 3e-6, "float64": 1e-12}
 
 
@@ -55,7 +57,6 @@ def run(stage: StageRun, lanes: Lanes) -> None:
     if not ready(half, parameters.precision):
         stage.progress.say("compiling the fits for this machine (once; about a minute)")
     load(half, parameters.precision)  # while the first band is read
-    gc.enable()  # `reading` had switched it off
     pilot, lanes.pieces[0] = _pilot(lanes.pieces[0])
     settings = choose_lobe(stage, pilot, rig, settings)
     del pilot  # it may be a whole band
@@ -66,8 +67,9 @@ def run(stage: StageRun, lanes: Lanes) -> None:
     threads = max(1, (os.cpu_count() or 1) // len(lanes.jobs))
 
     def fit_lane(jobs: list[CameraJob], pieces: Iterator[Piece]) -> None:
-        for job, (_, own) in zip(jobs, groupby(pieces, key=lambda piece: piece.job.name)):
-            fit_camera(stage, job, own, rig, settings, threads)
+        with closing(ahead(fitted(stage, pieces, rig, settings, threads))) as parts:
+            for job, (_, own) in zip(jobs, groupby(parts, key=lambda part: part.piece.job.name)):
+                write_camera(stage, job, own, settings)
 
     with ThreadPoolExecutor(len(lanes.jobs)) as pool:  # the kernels and the readers release the interpreter's lock
         for task in [pool.submit(fit_lane, *lane) for lane in zip(lanes.jobs, lanes.pieces)]:
@@ -128,11 +130,11 @@ def choose_lobe(stage: StageRun, pilot: list[Piece], rig: LightTable, settings: 
     )
     view = -camera.rays().reshape(-1, 3)[np.concatenate([part.band.pixels[::step] for part, step in zip(parts, steps)])]
     points = nearest_points(camera, view) if stage.capture.config.olat.near_light else None
-    found = {}
-    for name in ("ward", "beckmann"):
-        trial = settings._replace(lobe=LOBES[name])
-        rows, _ = fit(cross, parallel, view, rig, trial, parameters.precision, points)
-        found[name] = rows
+
+    def rows_of(name: str) -> NDArray[np.float64]:
+        return fit(cross, parallel, view, rig, settings._replace(lobe=LOBES[name]), parameters.precision, points)[0]
+
+    found = {name: rows_of(name) for name in ("ward", "beckmann")}
     sound = (found["ward"][:, FLAG] == 0) & (found["beckmann"][:, FLAG] == 0)
     better = found["beckmann"][sound, RESIDUAL] < found["ward"][sound, RESIDUAL]
     share = float(better.mean()) if sound.any() else 0.0
@@ -140,13 +142,36 @@ def choose_lobe(stage: StageRun, pilot: list[Piece], rig: LightTable, settings: 
     return settings._replace(lobe=LOBES["beckmann" if share > 0.5 else "ward"])
 
 
-def fit_camera(
-    stage: StageRun, job: CameraJob, pieces: Iterator[Piece], rig: LightTable, settings: Settings, threads: int | None
-) -> None:
-    """Fit and write one camera from its pieces."""
+@dataclass
+class Part:
+    """Some scanlines of a piece, fitted: rows [P, WIDTH] of the pixels of `band`. The piece's samples may be gone."""
+
+    piece: Piece
+    band: Band
+    rows: NDArray[np.float64]
+
+
+def fitted(
+    stage: StageRun, pieces: Iterator[Piece], rig: LightTable, settings: Settings, threads: int | None
+) -> Iterator[Part]:
+    """Every piece, fitted in parts: one is finished and written while the next is fitted."""
+    name, view = "", np.empty((0, 3))
+    for piece in pieces:
+        if piece.job.name != name:
+            name, view = piece.job.name, -piece.job.camera.rays().reshape(-1, 3)
+        whole, own = piece.samples.band, view[piece.samples.band.pixels]
+        for part in parts_of(whole, piece.job.camera.width):
+            first, last = np.searchsorted(whole.pixels, (part.pixels[0], part.pixels[-1] + 1))
+            rows = fit_part(stage, piece.job, piece.samples, own, rig, settings, threads, (int(first), int(last)))
+            if part.bottom == whole.bottom:
+                piece.samples = Samples(whole, NOTHING, NOTHING)  # what is left is to write
+            yield Part(piece, part, rows)
+
+
+def write_camera(stage: StageRun, job: CameraJob, parts: Iterator[Part], settings: Settings) -> None:
+    """Finish and write the maps of one camera from its parts."""
     parameters: OlatParameters = stage.parameters
     surface = parameters.widths == "surface"
-    view = -job.camera.rays().reshape(-1, 3)
     counts, directed = np.zeros(len(FLAGS), int), 0
     drift: Drift | None = None
     with (
@@ -154,17 +179,16 @@ def fit_camera(
         MapWriter(stage.output / job.name, job.camera.width, job.camera.height) as writer,
     ):
 
-        def fitted() -> Iterator[tuple[Band, NDArray[np.float64]]]:
+        def found() -> Iterator[tuple[Band, NDArray[np.float64]]]:
             nonlocal drift
-            for number, piece in enumerate(pieces, 1):
-                if number == 1:
-                    say_shift(stage, job, piece.shift)
-                    drift = piece.drift
-                rows = fit_band(stage, job, piece.samples, view[piece.samples.band.pixels], rig, settings, threads)
-                bar.advance(len(rows))
-                yield piece.samples.band, rows
+            for part in parts:
+                if drift is None:
+                    say_shift(stage, job, part.piece.shift)
+                    drift = part.piece.drift
+                bar.advance(len(part.rows))
+                yield part.band, part.rows
 
-        for band, rows in with_neighbours(fitted(), job.camera.width, surface) if not settings.gradient else fitted():
+        for band, rows in with_neighbours(found(), job.camera.width, surface) if not settings.gradient else found():
             if parameters.albedo_over_occlusion:
                 divide_by_occlusion(rows)
             counts += np.bincount(rows[:, FLAG].astype(int), minlength=len(FLAGS))
@@ -195,18 +219,19 @@ def say_shift(stage: StageRun, job: CameraJob, shift: tuple[int, int]) -> None:
         )
 
 
-def fit_band(
+def fit_part(
     stage: StageRun, job: CameraJob, samples: Samples, view: NDArray[np.float64], rig: LightTable, settings: Settings,
-    threads: int | None,
+    threads: int | None, part: tuple[int, int],
 ) -> NDArray[np.float64]:  # fmt: skip
-    """Rows [P, WIDTH] of one band; view [P, 3]: unit, to the camera."""
+    """Rows [last - first, WIDTH] of a band's pixels [first, last); view [P, 3]: unit, to the camera, of all of them."""
     parameters: OlatParameters = stage.parameters
     points = nearest_points(job.camera, view) if stage.capture.config.olat.near_light else None
-    rows, _ = fit(samples.cross, samples.parallel, view, rig, settings, parameters.precision, points, threads)
+    rows, _ = fit(samples.cross, samples.parallel, view, rig, settings, parameters.precision, points, threads, part)
     if parameters.solver not in ("closed", "gradient"):
         from stages.olat.paper_chain import solve_band
 
-        solve_band(parameters.solver, samples.cross, samples.parallel, view, rig, settings, rows)
+        own = slice(*part)
+        solve_band(parameters.solver, samples.cross[:, own], samples.parallel[:, own], view[own], rig, settings, rows)
     return rows
 
 

@@ -105,8 +105,9 @@ def _weighted(light, weight, level, area, hx, hy, hz, cosine):
 @njit(cache=True, error_model="numpy")
 def start_normal(light, weight, level, area, h, cosine):
     """Weighted half vector `Σ I ΔΩ h / (h·o)` over samples above `level`. Returns its direction and the samples' number."""
-    x, y, z, count = _weighted(light, weight, light.dtype.type(level), area, h[0], h[1], h[2], cosine)
-    size = math.sqrt(float(x) * x + float(y) * y + float(z) * z)
+    sx, sy, sz, count = _weighted(light, weight, light.dtype.type(level), area, h[0], h[1], h[2], cosine)
+    x, y, z = np.float64(sx), np.float64(sy), np.float64(sz)  # numba's float() would leave them as they are
+    size = math.sqrt(x * x + y * y + z * z)
     return (x / size, y / size, z / size, int(count)) if size > 0 else (0.0, 0.0, 0.0, 0)
 
 

@@ -105,7 +105,7 @@ def run(stage: StageRun) -> None:
     from stages.olat.stream import reading
 
     with reading(stage) as lanes:
-        from stages.olat.run import run as fit_all  # loads numba and the kernels: the frames are on their way meanwhile
+        from stages.olat.run import run as fit_all  # the frames are on their way meanwhile
 
         fit_all(stage, lanes)
 

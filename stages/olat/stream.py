@@ -1,8 +1,7 @@
-"""Frames of all cameras, one band after the other, read by threads of their own: already while the kernels are loaded."""
+"""Frames of all cameras, one band after the other, read by threads of their own: already while the rest is loaded."""
 
 from __future__ import annotations
 
-import gc
 import sys
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -48,13 +47,11 @@ def reading(stage: StageRun) -> Iterator[Lanes]:
     lanes = [jobs[k::count] for k in range(count)]
     interval = sys.getswitchinterval()
     sys.setswitchinterval(SWITCH_S)
-    gc.disable()  # modules and kernels make a million objects and no garbage: an eighth of the time to load them
     pieces = [ahead(_pieces(stage, lane, k == 0)) for k, lane in enumerate(lanes)]
     try:
         yield Lanes(lanes, list(pieces))
     finally:
         sys.setswitchinterval(interval)
-        gc.enable()
         for lane in pieces:
             lane.close()
 

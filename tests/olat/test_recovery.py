@@ -149,3 +149,10 @@ def test_tangents_that_cross_in_one_pixel_keep_the_widths():
 
     assert np.all(error(mixture) < 0.07)
     assert error(single)[1] > 0.3
+
+
+def test_widths_about_a_given_normal_are_those_of_the_lobe():
+    p = make(300, sigma=(0.3, 0.2), seed=3)
+    rows = run(p, specular_fit=1)  # the half vectors' normal, held: a tie that its rounding must not stretch
+    assert np.median(np.abs(rows[:, AT["sigma"]] / p.sigma - 1)) < 0.004
+    assert np.median(np.abs(rows[:, AT["specular_albedo"]][:, 0] / p.specular - 1)) < 0.004
