@@ -226,6 +226,16 @@ def _roughness(values: np.ndarray, parts: np.ndarray, index: np.ndarray) -> np.n
     return np.where(np.isfinite(found[0]), found[0], np.nan_to_num(found[1]))
 
 
+def openness(source: SourceView, exposure: float) -> np.ndarray:
+    """How far each pixel looks into an opening [H, W]: 1 in it, at its rim what is missing of the brightness beside."""
+    opening = opening_pixels(source, exposure)
+    bright = source.image[:, :, 0].max(-1)
+    full = np.asarray(ndimage.maximum_filter(np.where(opening, 0.0, bright), 5))
+    rim = ndimage.binary_dilation(opening, structure=np.ones((3, 3), bool)) & ~opening & (source.mask > 0.99)
+    share = 1 - bright / np.maximum(full, 1e-30)
+    return np.where(opening, 1.0, np.where(rim, np.clip(share, 0.0, 1.0), 0.0))
+
+
 def has_openings(sources: list[SourceView], exposure: float) -> bool:
     """Whether the training views look into openings: some pixels are black, but not so many that it is for lack of light."""
     shares = [opening_pixels(s, exposure).sum() / max((s.mask > 0.99).sum(), 1) for s in sources if s.split != "test"]

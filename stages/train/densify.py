@@ -18,27 +18,36 @@ GROWTH = 0.08  # largest share of new splats a time
 
 @dataclass
 class Activity:
-    """Per splat since the last look: summed screen gradient (1/px), times drawn, largest blending weight. [N] each."""
+    """Per splat since the last look: summed screen gradient (1/px), times drawn, largest blending weight, and in how many
+    views it turned its outer side to the camera. [N] each."""
 
     gradient: torch.Tensor
     drawn: torch.Tensor
     weight: torch.Tensor
+    faced: torch.Tensor
 
     @classmethod
     def empty(cls, count: int, device: torch.device | str) -> Activity:
         """Nothing seen yet."""
-        return cls(*(torch.zeros(count, device=device) for _ in range(3)))
+        return cls(*(torch.zeros(count, device=device) for _ in range(4)))
 
     def add(self, rows: torch.Tensor, gradient: torch.Tensor, weight: torch.Tensor) -> None:
         """Take in one view: values of the splats `rows` that were drawn."""
+        self.faced[rows] += 1
         self.gradient[rows] += gradient
         self.drawn[rows] += (weight > 0).to(self.drawn.dtype)
         self.weight[rows] = torch.maximum(self.weight[rows], weight)
 
 
-def kept_rows(opacities: torch.Tensor, activity: Activity) -> torch.Tensor:
-    """Indices of the splats that show: opaque enough, and in front somewhere."""
-    return torch.nonzero((opacities > LEAST_OPACITY) & (activity.weight > LEAST_WEIGHT))[:, 0]
+def kept_rows(opacities: torch.Tensor, activity: Activity, backs: bool = False) -> torch.Tensor:
+    """Indices of the splats that show: opaque enough, and in front somewhere.
+
+    With `backs`, those that every view sees from behind stay too: an opening may show them.
+    """
+    shows = activity.weight > LEAST_WEIGHT
+    if backs:
+        shows |= activity.faced == 0
+    return torch.nonzero((opacities > LEAST_OPACITY) & shows)[:, 0]
 
 
 def edges_to_split(graph: SurfaceGraph, activity: Activity, room: int) -> torch.Tensor:

@@ -19,7 +19,6 @@ from .polarisers import PolariserBank
 from .render import Rendered
 
 SH_C0 = 0.28209479177387814  # zeroth spherical harmonic: viewers show 0.5 + SH_C0 * f_dc
-SHOWN_ALPHA = 0.5  # depth and normals exist where transmittance falls to one half
 
 
 def gbuffer_channels(rendered: Rendered, view: View, frame: SceneFrame) -> dict[str, np.ndarray]:
@@ -65,16 +64,14 @@ def view_channels(rendered: Rendered, view: View, frame: SceneFrame) -> dict[str
     return channels | gbuffer_channels(rendered, view, frame)
 
 
-def with_backs(
-    channels: dict[str, np.ndarray], normals: torch.Tensor, alpha: torch.Tensor, view: View, frame: SceneFrame
+def with_normals(
+    channels: dict[str, np.ndarray], normals: torch.Tensor, view: View, frame: SceneFrame
 ) -> dict[str, np.ndarray]:
-    """The channels with the normals of surfaces seen from behind, where the view looks through an opening at them.
-
-    normals [P, 3], alpha [P] of the back sides: `render.back_normals`. Such a normal faces away from the camera.
-    """
-    there = (channels["alpha"].reshape(-1)[view.pixels.cpu().numpy()] < SHOWN_ALPHA) & (alpha.cpu().numpy() > SHOWN_ALPHA)
+    """The channels with these normals [P, 3] of the view's counting pixels (`render.mean_normals`) where there are any."""
+    found = normals.cpu().numpy()
+    there = (found != 0).any(-1)
     rows = view.pixels.cpu().numpy()[there]
-    world = frame.directions_to_world(normals.cpu().numpy()[there])
+    world = frame.directions_to_world(found[there])
     out = dict(channels)
     for k, c in enumerate("XYZ"):
         flat = channels[f"N.{c}"].reshape(-1).copy()

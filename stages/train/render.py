@@ -15,6 +15,8 @@ from .rasterize import Raster, rasterize
 BACK_FACING = 0.1  # cosine below which a splat has turned its outer side away: half of it reaches past the horizon
 SCREEN_FILTER = 2  # half of gsplat's low-pass filter, which widens every outline by a pixel: 0.5 to 1 degree of normal error
 LAYER = 4.0  # median splat sigmas of depth within which splats are one surface: two pixels, when they are 0.9 apart
+SAMPLES = SCREEN_FILTER  # a side, for a pixel's mean normal: the filter is then the usual one on the larger image
+SHOWN = 0.5  # opacity from which a place shows what is there: normals exist where transmittance falls to one half
 LEAST_ALPHA = 1e-3  # opacity below which a pixel's attributes are noise over noise: they then fade to zero instead
 
 
@@ -69,14 +71,25 @@ def rasterise_view(
 
 
 @torch.no_grad()
-def back_normals(splats: Splats, view: View, backend: str) -> tuple[torch.Tensor, torch.Tensor]:
-    """Outward normals [P, 3] and opacity [P] of the splats that turn their backs, at a view's counting pixels.
+def mean_normals(splats: Splats, view: View, backend: str, openings: bool) -> torch.Tensor:
+    """Normals [P, 3], unit, averaged over SAMPLES x SAMPLES places in each of a view's counting pixels; 0 where nothing is.
 
-    They are what an opening shows once no outer side is in the way: see `data.opening_pixels`.
+    A pixel's colour is the mean over its area, and so is the normal of what it shows: that at its centre is off by two
+    thirds of a degree on a true surface. With `openings`, where no outer side is in the way of a splat that turns its
+    back, its outward normal counts, which faces away from the camera: see `data.opening_pixels`.
     """
-    rows = torch.nonzero(~_faces(splats, view))[:, 0]
-    raster = _rasterised(splats, rows, splats.normals[rows], view, backend)
-    return unit(raster.features.reshape(-1, 3)[view.pixels]), raster.alpha.reshape(-1)[view.pixels]
+    faces = _faces(splats, view)
+    sides = [faces, ~faces] if openings else [faces]
+    total = None
+    for side in sides:
+        rows = torch.nonzero(side)[:, 0]
+        raster = _rasterised(splats, rows, splats.normals[rows], view, backend, SAMPLES)
+        shown = unit(raster.features) * (raster.alpha > SHOWN)[..., None]
+        total = shown if total is None else torch.where((total != 0).any(-1, keepdim=True), total, shown)
+    assert total is not None
+    height, width = view.size
+    pooled = total.reshape(height, SAMPLES, width, SAMPLES, 3).mean((1, 3))
+    return unit(pooled.reshape(-1, 3)[view.pixels])
 
 
 @torch.no_grad()
@@ -87,9 +100,11 @@ def _faces(splats: Splats, view: View) -> torch.Tensor:
     return (splats.normals * towards).sum(-1) > BACK_FACING * towards.norm(dim=-1)
 
 
-def _rasterised(splats: Splats, rows: torch.Tensor, features: torch.Tensor, view: View, backend: str) -> Raster:
-    """The splats `rows` with their features [R, C] in a view."""
+def _rasterised(splats: Splats, rows: torch.Tensor, features: torch.Tensor, view: View, backend: str, finer: int = 1) -> Raster:
+    """The splats `rows` with their features [R, C] in a view, `finer` (1 or SCREEN_FILTER) times as large."""
     height, width = view.size
+    lens = view.intrinsics.clone()
+    lens[:2] *= finer
     scales = splats.scales.detach()
     return rasterize(
         splats.means[rows],
@@ -98,11 +113,11 @@ def _rasterised(splats: Splats, rows: torch.Tensor, features: torch.Tensor, view
         splats.opacities[rows],
         features,
         view.world_to_camera,
-        view.intrinsics,
-        width,
-        height,
+        lens,
+        finer * width,
+        finer * height,
         backend=backend,
-        screen_filter=SCREEN_FILTER,
+        screen_filter=SCREEN_FILTER // finer,
         layer=LAYER * float(scales.median()) if len(scales) else 0.0,
     )
 

@@ -24,7 +24,7 @@ from .angle_search import search_angles
 from .data import SourceView, View, load_sources, prepare
 from .initialise.points import read_points
 from .parameters import TrainParameters
-from .render import back_normals
+from .render import mean_normals
 from .setup import NO_POINTS, Start, prepare_training
 from .trainer import CYCLE, Trainer
 
@@ -198,9 +198,8 @@ def write_results(trainer: Trainer, start: Start, sources: list[SourceView], sta
             kept = [name for name in channels if not name.startswith(("S", "diffuse", "specular"))]
             export.write_view(output / "gbuffer" / f"{source.name}.exr", {name: channels[name] for name in kept})
             if source.split == "test":
-                if openings:
-                    backs = back_normals(trainer.scene.model.activated(), view, trainer.backend)
-                    channels = export.with_backs(channels, *backs, view, frame)
+                normals = mean_normals(trainer.scene.model.activated(), view, trainer.backend, openings)
+                channels = export.with_normals(channels, normals, view, frame)
                 export.write_view(output / "test" / f"{source.name}.exr", channels)
             bar.advance()
     export.write_gaussians(output / "gaussians.ply", trainer.scene.model, frame)

@@ -19,12 +19,14 @@ from .data import (
     exposure_of,
     halved,
     has_openings,
+    openness,
     prepare,
     with_validation,
 )
 from .environment import Environment
 from .frame import SceneFrame
-from .initialise.hull import HullMesh, Silhouette
+from .initialise.hull import HullMesh, Silhouette, occupancy, signed_distance
+from .initialise.openings import OpeningView, cut_openings
 from .initialise.outline import are_masks, outline
 from .initialise.sampling import mesh_area, sample_evenly, wanted_count
 from .initialise.start import start_surface
@@ -91,6 +93,9 @@ def prepare_training(
         (hull.vertices - centre) @ frame.train_from_world.T / half, hull.triangles, hull.normals @ frame.train_from_world.T
     )
     pixel = float(np.median([_pixel_width(s, frame) for s in seen]))
+    openings = has_openings(seen, exposure)
+    if openings:
+        hull = _with_openings(hull, seen, frame, pixel, None if begun.points else offset)
     most = round(parameters.start_fraction * parameters.max_splats)
     count = wanted_count(mesh_area(hull), pixel, parameters.splat_pixels, most)
     samples = sample_evenly(hull, count, np.random.default_rng(parameters.seed))
@@ -102,10 +107,19 @@ def prepare_training(
     levels = [sources]
     if parameters.coarse_fraction > 0:
         levels.append([halved(s) for s in sources])
-    openings = has_openings(seen, frame.exposure)
     pyramids = [[prepare(s, frame, black, device, openings) for s in level if s.split != "test"] for level in levels]
     found = StartFacts(begun.points, begun.reason, masked)
     return Start(Scene(model, environment, bank, hull), pyramids, frame, hull, black, pixel, found)
+
+
+def _with_openings(hull: HullMesh, seen: list[SourceView], frame: SceneFrame, pixel: float, offset: float | None) -> HullMesh:
+    """The hull (training frame) with its openings cut; `offset` of the masks, or None where it is not their hull."""
+    views = [OpeningView(frame.camera(s.camera), openness(s, frame.exposure)) for s in seen]
+    silhouettes = [Silhouette(view.camera, s.mask) for view, s in zip(views, seen) if (s.mask > 0.5).any()]
+    if offset is None:
+        return cut_openings(hull, views, pixel) or hull
+    distances = [signed_distance(s.mask, offset) for s in silhouettes]
+    return cut_openings(hull, views, pixel, lambda points: occupancy(silhouettes, distances, points)) or hull
 
 
 def _pixel_width(source: SourceView, frame: SceneFrame) -> float:

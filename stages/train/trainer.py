@@ -140,10 +140,11 @@ class Trainer:
         p, model = self.parameters, self.scene.model
         done = self.iteration / p.iterations
         if p.densify and done <= DENSIFY_UNTIL:
-            rows = kept_rows(torch.sigmoid(model["opacity"].detach()), self.activity)
+            backs = any(view.openings > 0 for view in self.pyramids[0])
+            rows = kept_rows(torch.sigmoid(model["opacity"].detach()), self.activity, backs)
             if len(rows) < len(model) and len(rows) > len(model) // 2:
                 keep(model, self.adam, rows)
-                self.activity = Activity(*(getattr(self.activity, name)[rows] for name in ("gradient", "drawn", "weight")))
+                self.activity = Activity(*(getattr(self.activity, name)[rows] for name in vars(self.activity)))
                 self.scene.graph = build_graph(model["position"], model["normal"])
             assert self.scene.graph is not None
             split_edges(model, self.adam, edges_to_split(self.scene.graph, self.activity, p.max_splats - len(model)))

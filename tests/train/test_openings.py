@@ -13,7 +13,7 @@ from pipeline.lighting import Prefilter, shade
 from stages.train import export
 from stages.train.data import SourceView, has_openings, opening_pixels, prepare
 from stages.train.parameters import TrainParameters
-from stages.train.render import back_normals
+from stages.train.render import mean_normals
 from stages.train.setup import prepare_training
 from stages.train.trainer import Trainer
 
@@ -109,11 +109,12 @@ def test_a_bowl_stays_open_and_shows_the_normals_of_its_inside():
     with torch.no_grad():
         rendered = trainer.render_whole(view)
         channels = export.view_channels(rendered, view, start.frame)
-        backs = back_normals(trainer.scene.model.activated(), view, "cpu")
+        normals = mean_normals(trainer.scene.model.activated(), view, "cpu", True)
     assert np.median(channels["alpha"][hole]) < 0.2
-    filled = export.with_backs(channels, *backs, view, start.frame)
+    filled = export.with_normals(channels, normals, view, start.frame)
     normal = np.stack([filled[f"N.{c}"] for c in "XYZ"], -1)
     error = np.degrees(np.arccos(np.clip((normal * truths[seen.name]).sum(-1), -1, 1)))
     assert np.median(error[hole]) < 12
     outside = channels["alpha"] > 0.6
-    assert all((filled[f"N.{c}"][outside] == channels[f"N.{c}"][outside]).all() for c in "XYZ")
+    before = np.stack([channels[f"N.{c}"] for c in "XYZ"], -1)
+    assert np.median(np.degrees(np.arccos(np.clip((normal * before).sum(-1)[outside], -1, 1)))) < 2

@@ -34,8 +34,11 @@ class HullMesh:
     normals: np.ndarray
 
 
-def signed_distance(mask: np.ndarray, offset: float = 0.0) -> np.ndarray:
-    """Signed distance in pixels to the mask's contour, positive inside, float32 [H, W]; `offset` grows the mask."""
+def signed_distance(mask: np.ndarray, offset: float = 0.0, blur: float = 0.7) -> np.ndarray:
+    """Signed distance in pixels to the mask's contour, positive inside, float32 [H, W].
+
+    `offset` grows the mask; `blur` (pixels) takes the stair steps out of it.
+    """
     inside = mask > 0.5
     if not inside.any() or inside.all():
         return np.full(mask.shape, 1e3 if inside.all() else -1e3, np.float32)
@@ -44,7 +47,7 @@ def signed_distance(mask: np.ndarray, offset: float = 0.0) -> np.ndarray:
     distance = np.where(inside, far, -near)
     soft = (mask > 0.02) & (mask < 0.98)
     distance = np.where(soft, mask - 0.5, distance)
-    return (ndimage.gaussian_filter(distance, 0.7) + offset).astype(np.float32)
+    return (ndimage.gaussian_filter(distance, blur) + offset).astype(np.float32)
 
 
 def bounds(silhouettes: Sequence[Silhouette]) -> tuple[np.ndarray, float]:
