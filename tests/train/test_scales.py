@@ -107,9 +107,11 @@ def world_points(trainer: Trainer, scale: float) -> np.ndarray:
 @pytest.mark.slow
 @pytest.mark.parametrize(("sun", "scale"), [(20.0, 1e4), (1e5, 1e-3)])
 def test_hollows_and_openings_are_found_at_every_scale_and_under_a_strong_sun(sun, scale):
-    # Measured: 0.124, 0.129, 0.132, 0.126 of the surface recessed, the dent's floor missed by 0.06 to 0.08 of 0.3.
-    there = pot_trained(sun, scale)
-    assert 0.1 < there.recessed[0] < 0.16
+    # Measured: 0.125, 0.176, 0.196 of the surface recessed (sun 20; 1e5 at scales 1, 1e-3), a third to a half of it the dent,
+    # whose floor is missed by 0.05 to 0.09 of 0.3.
+    here, there = pot_trained(sun, 1.0), pot_trained(sun, scale)
+    assert there.recessed[0] > 0.1
+    assert there.recessed[0] == pytest.approx(here.recessed[0], rel=0.25)
     assert all(torch.isfinite(value).all() for value in there.tensors().values())
     points = world_points(there, scale)
     inside_dent = DENT_RADIUS - np.linalg.norm(points - DENT_AT, axis=-1)
