@@ -4,7 +4,7 @@
 
 DIR holds captures with `gt/` (or the environment variable POLARFIELD_CAPTURES). Each capture with full Stokes images is
 trained as it is, as if photographed behind two polarisers of unknown angle (23 and 110 degrees, alternating views), and
-as plain colour. Writes train.json and train.png.
+as plain colour; then, for fewer steps, with one piece of the method changed at a time. Writes train.json and train.png.
 """
 
 from __future__ import annotations
@@ -25,7 +25,9 @@ import numpy as np
 
 ANGLES_DEG = {"lp0": 23.0, "lp1": 110.0}
 MODES = ("stokes", "polarisers", "none")
+PIECES_STEPS = 600  # steps of the runs that differ by one piece, and of the one with all
 ABLATIONS: dict[str, dict[str, Any]] = {
+    "all pieces": {},
     "no polarisation loss": {"weight_polarisation": 0.0},
     "polarisation x 2": {"weight_polarisation": 8.0},
     "no depth-normal": {"weight_depth_normal": 0.0},
@@ -91,7 +93,9 @@ def figures(trainer: Any, sources: list[Any], truth: list[Any], folder: Path) ->
     from pipeline.lighting import latlong
     from stages.train.data import prepare
     from stages.train.evaluate import psnr
+    from stages.train.render import mean_normals
 
+    openings = any(view.openings > 0 for view in trainer.pyramids[0])
     values: dict[str, list[float]] = {}
     with torch.no_grad():
         trainer.trace_surface(trainer.light(), trainer.scene.model.activated())
@@ -111,7 +115,9 @@ def figures(trainer: Any, sources: list[Any], truth: list[Any], folder: Path) ->
             path = folder / "gt" / "normal" / f"{k:03d}.exr"
             if path.exists():
                 normal = read_image(path, ("X", "Y", "Z")).reshape(-1, 3)[full]
-                ours = trainer.frame.directions_to_world(rendered.gbuffer.normal.numpy()[full])
+                shown = mean_normals(trainer.scene.model.activated(), view, "cpu", openings)
+                shown = torch.where((shown != 0).any(-1, keepdim=True), shown, rendered.gbuffer.normal)
+                ours = trainer.frame.directions_to_world(shown.numpy()[full])
                 cosine = (normal * ours).sum(-1) / np.maximum(np.linalg.norm(normal, axis=-1), 1e-9)
                 values.setdefault("normal_mae_deg", []).append(float(np.degrees(np.arccos(np.clip(cosine, -1, 1))).mean()))
             values.setdefault("ior", []).append(float(rendered.gbuffer.ior[full].mean()))
@@ -224,13 +230,15 @@ def main() -> None:
             continue
         runs = results.setdefault(folder.name, {})
         jobs: list[tuple[str, str, dict[str, Any]]] = [(m, m, {}) for m in MODES]
-        jobs += [] if arguments.quick else [(name, "stokes", changes) for name, changes in ABLATIONS.items()]
+        pieces = {} if arguments.quick else ABLATIONS
+        jobs += [(name, "stokes", {"iterations": PIECES_STEPS} | changes) for name, changes in pieces.items()]
         for name, as_what, changes in jobs:
             if name in runs:
                 continue
             print(f"{folder.name}: {name}", flush=True)
-            runs[name] = train_once(as_mode(truth, as_what), truth, as_what, up, folder, fixed | changes, 4)
+            runs[name] = train_once(as_mode(truth, as_what), truth, as_what, up, folder, changes | fixed, 4)
             save(results, arguments.out)
+    save(results, arguments.out)
 
 
 if __name__ == "__main__":
