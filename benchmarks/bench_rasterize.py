@@ -26,7 +26,7 @@ import torch
 from torch import Tensor
 
 from stages.train.rasterize import Raster, rasterize
-from stages.train.render import SCREEN_FILTER
+from stages.train.render import LAYER, SCREEN_FILTER
 
 TARGETS = {"forward_ms": (25, 8), "forward_backward_ms": (80, 25), "times_reference": (50, 200)}  # must, aim
 INPUTS = ("means", "quats", "scales", "opacities", "features")
@@ -61,17 +61,18 @@ class Case:
         backend: str,
         dtype: torch.dtype,
         screen_filter: int = 1,
+        layer: float = 0.0,
     ):
         self.device = "cuda" if backend == "cuda" else "cpu"
         self.inputs = [t.to(self.device, dtype, copy=True).requires_grad_() for t in splats]
         self.camera = (camera[0].to(self.device, dtype), camera[1].to(self.device, dtype), *camera[2:])
-        self.backend, self.screen_filter = backend, screen_filter
+        self.backend, self.screen_filter, self.layer = backend, screen_filter, layer
         self.cotangents: list[Tensor] = []
         self.latest: Raster | None = None
 
     def forward(self) -> Raster:
         arguments: tuple[Any, ...] = (*self.inputs, *self.camera)
-        raster = rasterize(*arguments, backend=self.backend, screen_filter=self.screen_filter)
+        raster = rasterize(*arguments, backend=self.backend, screen_filter=self.screen_filter, layer=self.layer)
         if self.device == "cuda":
             torch.cuda.synchronize()
         return raster
@@ -163,9 +164,9 @@ def main() -> None:
     report("cpu forward", figures["cpu"]["forward_ms"], "forward_ms")
     report("cpu forward + backward", figures["cpu"]["forward_backward_ms"], "forward_backward_ms")
 
-    narrow = Case(splats, camera, "cpu", torch.float32, SCREEN_FILTER)
-    figures["cpu_training_filter"] = {"forward_backward_ms": times_ms(narrow.forward_backward, options.repeats)}
-    report("cpu both, training's filter", figures["cpu_training_filter"]["forward_backward_ms"])
+    training = Case(splats, camera, "cpu", torch.float32, SCREEN_FILTER, LAYER * float(splats[2].median()))
+    figures["cpu_as_in_training"] = {"forward_backward_ms": times_ms(training.forward_backward, options.repeats)}
+    report("cpu both, training's filter, layers", figures["cpu_as_in_training"]["forward_backward_ms"])
 
     large = Case(sphere(100_000, 12, 0.01), view(612, 512, 1100.0), "cpu", torch.float32)
     figures["cpu_612x512_100k"] = {"forward_backward_ms": times_ms(large.forward_backward, max(options.repeats // 5, 1))}
