@@ -18,23 +18,28 @@ def sources() -> str:
     digest = hashlib.sha256()
     for name in FOLDERS:
         for path in sorted((ROOT / name).glob("*.py")):
-            source = path.read_bytes()
-            if b"\nfrom numba" in source:
-                digest.update(source)
+            digest.update(path.read_bytes())  # all of them: kernels take constants and record layouts from plain modules too
     return digest.hexdigest()[:12]
 
 
 @functools.cache
 def folder() -> Path | None:
-    """The folder named after the sources of these kernels; None where NUMBA_CACHE_DIR says where, or it cannot be written."""
+    """The folder named after the sources of these kernels, in the user's cache where the package cannot be written.
+
+    None where NUMBA_CACHE_DIR says where, or neither can be written.
+    """
     if os.environ.get("NUMBA_CACHE_DIR"):
         return None
-    target = Path(__file__).parent / "__pycache__" / f"kernels-{sources()}"
-    try:
-        target.mkdir(parents=True, exist_ok=True)
-    except OSError:
-        return None
-    return target if os.access(target, os.W_OK) else None
+    home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    for place in (Path(__file__).parent / "__pycache__", home / "polarfield"):
+        target = place / f"kernels-{sources()}"
+        try:
+            target.mkdir(parents=True, exist_ok=True)
+        except OSError:
+            continue
+        if os.access(target, os.W_OK):
+            return target
+    return None
 
 
 def keep_fresh() -> None:

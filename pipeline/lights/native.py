@@ -101,9 +101,10 @@ def _keep(place: Path, symbol: str, code: bytes) -> None:
     """Write the object file in one step, so that no other process reads half of one."""
     try:
         place.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=place.parent, delete=False) as aside:
-            aside.write(b"\n".join((symbol.encode(), hashlib.sha256(code).hexdigest().encode(), code)))
-        os.replace(aside.name, place)
+        with tempfile.TemporaryDirectory(dir=place.parent) as aside:
+            file = Path(aside) / place.name  # with the permissions of the user's umask, unlike a temporary file
+            file.write_bytes(b"\n".join((symbol.encode(), hashlib.sha256(code).hexdigest().encode(), code)))
+            os.replace(file, place)
     except OSError:
         return  # it is compiled again next time
 

@@ -55,8 +55,8 @@ EFFECTIVE_LIGHTS = 3.0  # a lobe seen by fewer has no width
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
-def _albedo(rgb, diffuse, wx, wy, wz, nx, ny, nz, weight, out):
-    """PRF Eq. 16: ratio of two dot products over the lights in use; `out` [3] is filled. Returns the residual's square sums."""
+def _albedo(rgb, wx, wy, wz, nx, ny, nz, weight, out):
+    """PRF Eq. 16: ratio of two dot products over the lights in use; `out` [3] is filled."""
     r = g = b = den = ZERO * nx
     for k in range(weight.size):
         p = nx * wx[k] + ny * wy[k] + nz * wz[k]
@@ -142,7 +142,7 @@ def fit_pixel(cross, parallel, w, o, area, energy, settings, room, out):
     if solved:
         n_d = (mx / size, my / size, mz / size)
         nx, ny, nz = kind(n_d[0]), kind(n_d[1]), kind(n_d[2])
-        _albedo(room.rgb, room.diffuse, w[0], w[1], w[2], nx, ny, nz, room.weight, out[ALBEDO_D:])
+        _albedo(room.rgb, w[0], w[1], w[2], nx, ny, nz, room.weight, out[ALBEDO_D:])
         for k in range(3):
             out[ALBEDO_D + k] = max(out[ALBEDO_D + k], 0.0)
         in_use, lit = _in_use(room.weight)

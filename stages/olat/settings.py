@@ -32,7 +32,7 @@ class Settings(NamedTuple):
     mixed: float  # share of one lobe's robust cost that mixed tangents must beat (0: never tried)
     prior: float  # strength of the tie of n_s to n_d: inverse square of the angle (rad) they may differ by
     plain: bool  # diffuse fit without robust weights (PRF Eq. 12)
-    specular_fit: int  # how n_s is found, `paper.SPECULAR_FITS`
+    specular_fit: int  # how n_s is found, `SPECULAR_FITS`
     fuse_correlation: bool  # fuse the normals by correlation (PRF) instead of inverse variance
     printed_maps: bool  # occlusion and inter-reflection as PRF Eqs. 4 and 5 print them
     remove: bool  # clipped samples by PRF Algorithm 1 instead of as bounds

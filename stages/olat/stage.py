@@ -112,7 +112,7 @@ def run(stage: StageRun) -> None:
 
 STAGE = Stage(
     name="olat",
-    version=4,
+    version=5,
     parameters=OlatParameters,
     needs=("decode", "masks"),
     needed=needed,

@@ -70,7 +70,7 @@ def search_angles(
 ) -> dict[str, float]:
     """Best angles (degrees) of the unknown polarisers."""
     small = replace(parameters, **SMALL)  # type: ignore[arg-type]
-    start = prepare_training(sources, "polarisers", priors, up, small, "cpu", points)
+    start = prepare_training(sources, "polarisers", priors, up, small, "cpu", points, cut=False)
     candidates = [Candidate(angles, _trainer(start, priors, angles, small)) for angles in starts(unknown, parameters.seed)]
     total = _total_steps(len(candidates))
     with progress.bar("finding the polarisers", total=total, unit="steps") as bar:

@@ -42,7 +42,7 @@ class Activity:
 def kept_rows(opacities: torch.Tensor, activity: Activity, backs: bool = False) -> torch.Tensor:
     """Indices of the splats that show: opaque enough, and in front somewhere.
 
-    With `backs`, those that every view sees from behind stay too: an opening may show them.
+    With `backs`, those that every view since the last look sees from behind stay too: an opening may show them.
     """
     shows = activity.weight > LEAST_WEIGHT
     if backs:

@@ -70,10 +70,11 @@ def prepare_training(
     parameters: TrainParameters,
     device: str,
     points: np.ndarray = NO_POINTS,
+    cut: bool = True,
 ) -> Start:
     """Hull, splats, environment, polarisers and views in the training frame. Test views enter nowhere here.
 
-    `points` [N, 3]: the poses stage's sparse points, if any, in the capture's world.
+    `points` [N, 3]: the poses stage's sparse points, if any, in the capture's world. `cut`: cut openings out of the start.
     """
     sources = with_validation(sources, parameters.validation_every)
     seen = [s for s in sources if s.split != "test"]
@@ -94,7 +95,8 @@ def prepare_training(
     )
     pixel = float(np.median([_pixel_width(s, frame) for s in seen]))
     openings = has_openings(seen, exposure)
-    if openings:
+    closed = hull if openings and cut else None
+    if closed is not None:
         hull = _with_openings(hull, seen, frame, pixel, None if begun.points else offset)
     most = round(parameters.start_fraction * parameters.max_splats)
     count = wanted_count(mesh_area(hull), pixel, parameters.splat_pixels, most)
@@ -109,7 +111,7 @@ def prepare_training(
         levels.append([halved(s) for s in sources])
     pyramids = [[prepare(s, frame, black, device, openings) for s in level if s.split != "test"] for level in levels]
     found = StartFacts(begun.points, begun.reason, masked)
-    return Start(Scene(model, environment, bank, hull), pyramids, frame, hull, black, pixel, found)
+    return Start(Scene(model, environment, bank, hull, closed), pyramids, frame, hull, black, pixel, found)
 
 
 def _with_openings(hull: HullMesh, seen: list[SourceView], frame: SceneFrame, pixel: float, offset: float | None) -> HullMesh:

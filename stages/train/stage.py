@@ -52,7 +52,7 @@ def run(stage: StageRun) -> None:
 
 STAGE = Stage(
     name="train",
-    version=5,
+    version=6,
     parameters=TrainParameters,
     needs=("decode", "poses", "masks"),
     needed=needed,

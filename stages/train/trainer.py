@@ -24,7 +24,7 @@ from .occlusion import LEAST_BLOCKED, Occluder, SplatOcclusion, carried_hull, tr
 from .optimiser import Group, SurfaceAdam
 from .parameters import TrainParameters
 from .polarisers import AngleFit, AngleSums, PolariserBank, fit_views
-from .render import Rendered, rasterise_view, render_view
+from .render import LEAST_ALPHA, Rendered, rasterise_view, render_view
 from .schedule import Phase, epoch_order, phase_at
 from .structure import dssim
 from .surface_losses import SurfaceWeights, surface_loss
@@ -62,7 +62,8 @@ class Scene:
     model: SplatModel
     environment: Environment
     bank: PolariserBank | None
-    hull: HullMesh  # training frame
+    hull: HullMesh  # training frame; open where openings were cut
+    closed: HullMesh | None = None  # the same without cuts, where there are any
     graph: SurfaceGraph | None = None
     occlusion: dict[tuple[str, int], Occlusion] = field(default_factory=dict)
 
@@ -165,8 +166,7 @@ class Trainer:
 
         model, p, graph = self.scene.model, self.parameters, self.scene.graph
         assert graph is not None
-        carried = carried_hull(self.scene.hull, model)
-        surface = HullMesh(carried.vertices, carried.triangles, carried.normals)
+        surface = self._carried(self.scene.hull)
         occlusion = {name: traced for (name, level), traced in self.scene.occlusion.items() if level == 0}
         images = view_images(self.pyramids[0], self.mode, self.scene.bank, occlusion)
         splats = model.activated()
@@ -177,13 +177,18 @@ class Trainer:
         if found.share < LEAST_RECESS:
             return False
         field = DepthField(found.points, found.depths)
-        hollow = hollowed(surface, field)
+        hollow = hollowed(surface if self.scene.closed is None else self._carried(self.scene.closed), field)
         if hollow is None or refit(model, self.adam, field, hollow, graph.spacing, p.max_splats, p.seed) is None:
             return False
-        self.scene.hull = hollow
+        self.scene.hull, self.scene.closed = hollow, None
         self.scene.graph = build_graph(model["position"], model["normal"])
         self.activity = Activity.empty(len(model), model["position"].device)
         return True
+
+    def _carried(self, hull: HullMesh) -> HullMesh:
+        """The hull as the splats have moved it."""
+        carried = carried_hull(hull, self.scene.model)
+        return HullMesh(carried.vertices, carried.triangles, carried.normals)
 
     @torch.no_grad()
     def trace(self) -> None:
@@ -213,7 +218,7 @@ class Trainer:
         assert traced is not None and graph is not None and self.occluder is not None
         extra = torch.cat([traced.shadow, traced.bounced], -1)
         g = rasterise_view(splats, view, view.pixels, self.backend, extra)
-        alpha = g.alpha.clamp_min(1e-3)
+        alpha = g.alpha.clamp_min(LEAST_ALPHA)
         depth = g.raster.depth_expected.reshape(-1)[view.pixels] / alpha
         rotation, translation = view.world_to_camera[:3, :3], view.world_to_camera[:3, 3]
         centre = -rotation.T @ translation
@@ -371,7 +376,8 @@ class Trainer:
             "std_deg": list(std),
             "settled": settled,
             "activity": vars(self.activity),
-            "hull": {name: torch.as_tensor(value) for name, value in vars(self.scene.hull).items()},
+            "hull": _as_tensors(self.scene.hull),
+            "closed": None if self.scene.closed is None else _as_tensors(self.scene.closed),
             "recessed": list(self.recessed),
         }
 
@@ -388,7 +394,16 @@ class Trainer:
         self.adam.load(state["adam"])
         self.exchange.load(state["exchange"])
         self.activity = Activity(**state["activity"])
-        self.scene.hull = HullMesh(**{name: value.numpy() for name, value in state["hull"].items()})
+        self.scene.hull = _as_mesh(state["hull"])
+        self.scene.closed = None if state["closed"] is None else _as_mesh(state["closed"])
         self.recessed = list(state["recessed"])
         self.iteration = state["iteration"]
         self.scene.graph = None
+
+
+def _as_tensors(mesh: HullMesh) -> dict[str, torch.Tensor]:
+    return {name: torch.as_tensor(value) for name, value in vars(mesh).items()}
+
+
+def _as_mesh(tensors: dict[str, torch.Tensor]) -> HullMesh:
+    return HullMesh(**{name: value.numpy() for name, value in tensors.items()})

@@ -95,6 +95,19 @@ def test_splats_of_one_layer_show_their_mean_and_hide_what_is_behind() -> None:
         assert float(raster.alpha[0, 0]) == pytest.approx(covered + behind * 1.5)
 
 
+def test_a_clump_of_hundreds_in_one_layer_is_the_same_in_float32() -> None:
+    """The transmittance would leave float32's range: both end the pixel first."""
+    count, g = 200, torch.Generator().manual_seed(3)
+    means = torch.zeros(count, 3)
+    means[:, 2] = 2 + 0.01 * torch.rand(count, generator=g)
+    quats = torch.tensor([[1.0, 0, 0, 0]]).expand(count, 4)
+    inputs = [means, quats, torch.full((count, 2), 9.0), torch.full((count,), 0.9), torch.rand(count, 2, generator=g)]
+    camera = (torch.eye(4), torch.tensor([[1.0, 0, 0.5], [0, 1.0, 0.5], [0, 0, 1.0]]), 1, 1)
+    exact = rasterize(*(t.double() for t in inputs), *camera, backend="reference", near=0.5, layer=0.5)
+    fast = rasterize(*inputs, *camera, backend="cpu", near=0.5, layer=0.5)
+    assert torch.allclose(fast.features.double(), exact.features, atol=1e-5)
+
+
 @pytest.mark.parametrize("layer", [0.0, 0.3])
 def test_gradients_are_finite_differences(scene_named, layer) -> None:
     scene = replace(scene_named("plain"), width=9, height=7)

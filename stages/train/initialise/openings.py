@@ -70,6 +70,8 @@ def cut_openings(mesh: HullMesh, views: Sequence[OpeningView], pixel: float, sol
     values = np.full(tuple(shape), -pixel, np.float32)
     values[near] = np.clip(np.minimum(inside, -free), -pixel, pixel)
     values = ndimage.gaussian_filter(values, SMOOTH * pixel / step)
+    if not (values[near] > 0).any() or not (values[near] < 0).any():
+        return None  # nothing is left there, or nothing is cut
     vertices, triangles, *_ = marching_cubes(values, 0.0, spacing=(step,) * 3, mask=near)
     fine = smoothed(vertices + low, triangles[:, ::-1].astype(np.int64), rounds=3)
     outside = tree.query(mesh.vertices[mesh.triangles].mean(1))[0] > REACH * pixel

@@ -7,8 +7,12 @@ ALPHA_MIN = 1.0 / 255.0
 """Contributions below one step of an 8-bit image are skipped (3DGS, gsplat)."""
 
 TRANSMITTANCE_STOP = 1e-4
-"""A splat that would bring the transmittance below this is not blended and ends the pixel (3DGS, gsplat). With
+"""A splat that would bring the transmittance below this is not blended and ends the pixel (3DGS, gsplat); with layered
+blending, the first splat of a further layer does, once the transmittance is below. With
 ALPHA_MAX = 0.99, two opaque splats (0.01 squared) reach it."""
+
+LEAST_TRANSMITTANCE = 1e-30
+"""With layered blending, a splat that would bring the transmittance below this ends the pixel: float32 ends at 1e-38."""
 
 MAX_LAYERS = 4
 """With layered blending, layers of a pixel that are told apart; what lies behind the last but one is one layer."""

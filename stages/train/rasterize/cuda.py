@@ -100,7 +100,9 @@ def thinned(raster: Raster, factor: int) -> Raster:
 
 def layered_image(
     gsplat: SimpleNamespace,
-    projected: tuple[Tensor, Tensor, Tensor],  # centres [1, N, 2], pixel-to-splat transforms [1, N, 3, 3], opacities [1, N]
+    projected: tuple[
+        Tensor, ...
+    ],  # centres [1, N, 2], pixel-to-splat transforms [1, N, 3, 3], opacities [1, N], shift [1, N, 2]
     attributes: Tensor,  # [N, A]
     depths: Tensor,  # [N] camera z of the centres
     places: tuple[Tensor, Tensor, Tensor],  # gsplat's tile offsets and splat list, wanted pixels [H, W]
@@ -108,20 +110,22 @@ def layered_image(
 ) -> Tensor:
     """The attributes blended by layers (`layers`). [H, W, A]
 
-    gsplat stops a pixel where `TRANSMITTANCE_STOP` is reached, even within a layer.
+    The shift, zero, takes up the gradient by the splats' places in the image. gsplat stops a pixel where
+    `TRANSMITTANCE_STOP` is reached, even within a layer.
     """
     offsets, splat_ids, wanted = places
     height, width = wanted.shape
     untouched = attributes.new_ones(1, height, width)
     every = 1 << 30  # batches of splats: all of them
     pairs = gsplat.rasterize_to_indices_in_range_2dgs(
-        0, every, untouched, *(t.detach() for t in projected), width, height, TILE, offsets, splat_ids
+        0, every, untouched, *(t.detach() for t in projected[:3]), width, height, TILE, offsets, splat_ids
     )
     splat, pixel = pairs[0], pairs[1]
     kept = wanted.reshape(-1)[pixel]
     splat, pixel = splat[kept], pixel[kept]
-    centres, transforms, opacities = (t[0][splat] for t in projected)
-    x, y = pixel % width + 0.5, torch.div(pixel, width, rounding_mode="floor") + 0.5
+    centres, transforms, opacities, shift = (t[0][splat] for t in projected)
+    x = pixel % width + 0.5 - shift[:, 0]
+    y = torch.div(pixel, width, rounding_mode="floor") + 0.5 - shift[:, 1]
     # The transform's rows are image x, y times depth, and depth, linear in (u, v, 1): the pixel's column and line are two
     # planes, whose common line is the splat's point.
     plane_x = x[:, None] * transforms[:, 2] - transforms[:, 0]
@@ -207,7 +211,7 @@ def rasterize_cuda(
     if layer > 0:
         attributes = torch.cat((features, normals[0]), 1)
         places = (offsets, splat_ids, wanted[..., 0] > 0)
-        image = layered_image(gsplat, (means2d, transforms, opacities[None]), attributes, depths[0], places, layer)
+        image = layered_image(gsplat, (means2d, transforms, opacities[None], densify), attributes, depths[0], places, layer)
         shown, normal = image.split((channels, 3), -1)
     alpha, expected = alphas[..., 0], blended[..., -1]
     moment1 = expected - z_ref * alpha

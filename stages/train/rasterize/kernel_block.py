@@ -52,6 +52,7 @@ _f = np.float32
 ONE, ZERO, HALF, TWO = _f(1), _f(0), _f(0.5), _f(2)
 CUTOFF_RHO = _f(k.CUTOFF_RHO)
 BEYOND = _f(2 * k.CUTOFF_RHO)
+LEAST = _f(k.LEAST_TRANSMITTANCE)
 ENDLESS = _f(1e30)  # above every place in a list, below infinity
 ALPHA_MIN, ALPHA_MAX, STOP = _f(k.ALPHA_MIN), _f(k.ALPHA_MAX), _f(k.TRANSMITTANCE_STOP)
 Q_MIN = _f(k.MIN_RELATIVE_DEPTH_INVERSE)
@@ -130,7 +131,7 @@ def blend_block(
     after = before * (ONE - alpha)
     if layer > ZERO:
         farther = hit & (load(buffer, at + LAYER_SUM) > ZERO) & (z > load(buffer, at + LAYER_Z) + layer)
-        stop = farther & (before < STOP)
+        stop = (farther & (before < STOP)) | (hit & (after < LEAST))
         if any_lane(farther):
             end_layers(buffer, at, place, farther & (before >= STOP), record, channels)
     else:

@@ -7,6 +7,8 @@ is behind as much as it would front to back.
 
 from __future__ import annotations
 
+import math
+
 import torch
 from torch import Tensor
 
@@ -17,8 +19,8 @@ def layer_numbers(alpha: Tensor, z: Tensor, pixel: Tensor, layer: float) -> tupl
     """Which layer of its pixel a splat belongs to, and whether it counts at all. [M] each
 
     alpha > 0, camera z and pixel [M], pixels one after the other and each front to back. A layer ends at the first splat met
-    more than `layer` behind the one that began it. The pixel ends instead where less than `TRANSMITTANCE_STOP` is left. The
-    last of `MAX_LAYERS` layers holds all that follows.
+    more than `layer` behind the one that began it. The pixel ends instead where less than `TRANSMITTANCE_STOP` is left, or
+    at once before `LEAST_TRANSMITTANCE`. The last of `MAX_LAYERS` layers holds all that follows.
     """
     _, run, length = torch.unique_consecutive(pixel, return_inverse=True, return_counts=True)
     place = torch.arange(len(alpha), device=alpha.device)
@@ -26,7 +28,9 @@ def layer_numbers(alpha: Tensor, z: Tensor, pixel: Tensor, layer: float) -> tupl
     begin = end - length
     log_left = torch.cumsum(torch.log1p(-alpha.double()), 0)
     log_left = torch.cat((log_left.new_zeros(1), log_left))  # before each splat and after the last
-    spent = log_left[:-1] - log_left[begin][run] < torch.log(torch.tensor(k.TRANSMITTANCE_STOP, dtype=torch.float64))
+    spent = log_left[:-1] - log_left[begin][run] < math.log(k.TRANSMITTANCE_STOP)
+    drained = log_left[1:] - log_left[begin][run] < math.log(k.LEAST_TRANSMITTANCE)
+    end = _first(place, run, drained, end)
     number = torch.zeros_like(place)
     goes_on = torch.ones_like(begin, dtype=torch.bool)
     for _ in range(k.MAX_LAYERS - 1):

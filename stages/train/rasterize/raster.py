@@ -13,7 +13,7 @@ from torch import Tensor
 @dataclass
 class Raster:
     """Blended images of one view. Sums are over splats, front to back, with weights w = alpha * transmittance (with `layer`,
-    those of `features` and `normal` are shared out evenly within a layer).
+    those of `features` and `normal` are shared out by alpha within a layer).
 
     Only the images carry gradients. Distances are in world units; pixels outside `pixel_mask` are 0 everywhere.
     """
@@ -68,7 +68,7 @@ def rasterize(
             `features` and `normal` show their mean weighted by alpha, instead of the nearer ones hiding the others. On a
             curved surface the nearer ones are those that lean towards the camera, so blending front to back alone turns
             every normal towards it (by 0.7 degrees for splats a pixel apart on an object of 120 pixels). The other images
-            stay as they are.
+            are blended front to back all the same; a pixel ends only behind a layer, though, not within it.
 
     Raises:
         ValueError: a shape, a backend or the intrinsics are not as stated.

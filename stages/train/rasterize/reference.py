@@ -151,7 +151,7 @@ def splat_alpha(
 def blend(alpha: Tensor, z: Tensor, attributes: Tensor, layer: float = 0.0) -> tuple[Tensor, Tensor]:
     """Front-to-back blending. alpha, z [P, n], attributes [n, A] -> image [P, A + 4], largest possible weights [P, n].
 
-    The last four channels are alpha, expected depth, median depth, distortion; `layer` leaves them as they are.
+    The last four channels are alpha, expected depth, median depth, distortion; they are blended front to back with `layer` too.
     """
     if layer > 0:
         pixel, rank = (alpha > 0).nonzero(as_tuple=True)
