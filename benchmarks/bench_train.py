@@ -29,7 +29,8 @@ PIECES_STEPS = 600  # steps of the runs that differ by one piece, and of the one
 ABLATIONS: dict[str, dict[str, Any]] = {
     "all pieces": {},
     "no polarisation loss": {"weight_polarisation": 0.0},
-    "polarisation x 2": {"weight_polarisation": 8.0},
+    "polarisation / 2": {"weight_polarisation": 4.0},
+    "polarisation x 2": {"weight_polarisation": 16.0},
     "no depth-normal": {"weight_depth_normal": 0.0},
     "no smoothness": {"weight_smooth": 0.0},
     "priors x 4": {"weight_smooth": 0.08, "weight_depth_normal": 0.24},

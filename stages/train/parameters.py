@@ -47,7 +47,7 @@ class TrainParameters:
 
     weight_rgb: float = _p(1.0, "weight of the radiance loss L_rgb (Eq. 10)")
     weight_dssim: float = _p(0.0, "share of structural dissimilarity in L_rgb; the rest is pixelwise (fraction)")
-    weight_polarisation: float = _p(4.0, "weight of the Stokes loss relative to the radiance loss (lambda 1)")
+    weight_polarisation: float = _p(8.0, "weight of the Stokes loss relative to the radiance loss (lambda 1)")
     weight_mask: float = _p(0.4, "weight of the mask loss (lambda 2)")
     weight_depth_normal: float = _p(0.06, "weight of the agreement of normals with positions (lambda 3)")
     weight_smooth: float = _p(0.02, "weight of the smoothness of normals, albedo and material (lambda 4)")
