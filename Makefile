@@ -32,6 +32,7 @@ $(READY): pyproject.toml constraints.txt tools/system_libraries.sh
 	@bash tools/system_libraries.sh
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[test]'
+	$(BIN)/python -m stages.olat.compile
 	@touch $@
 
 demo: $(READY)  ## a tiny synthetic capture through every stage
