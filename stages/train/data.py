@@ -232,7 +232,7 @@ def openness(source: SourceView, exposure: float) -> np.ndarray:
     bright = source.image[:, :, 0].max(-1)
     full = np.asarray(ndimage.maximum_filter(np.where(opening, 0.0, bright), 5))
     rim = ndimage.binary_dilation(opening, structure=np.ones((3, 3), bool)) & ~opening & (source.mask > 0.99)
-    share = 1 - bright / np.maximum(full, 1e-30)
+    share = 1 - bright / np.maximum(full, 1e-30)  # 0 / 0 where all about is black, which is no rim
     return np.where(opening, 1.0, np.where(rim, np.clip(share, 0.0, 1.0), 0.0))
 
 

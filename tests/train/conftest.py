@@ -39,6 +39,27 @@ def look_at(direction: np.ndarray, distance: float, roll: float = 0.0) -> np.nda
     return out
 
 
+def plastic_image(camera: Camera, lit: np.ndarray, normal: np.ndarray, light) -> np.ndarray:
+    """Stokes [H, W, 3, 3] of plastic with normals [H * W, 3] at the pixels `lit` [H * W], black elsewhere."""
+    rays = camera.rays().reshape(-1, 3)
+    x, y = (f.reshape(-1, 3)[lit] for f in camera.stokes_frame())
+    tensors = [torch.as_tensor(v, dtype=torch.float32) for v in (normal[lit], -rays[lit], x, y)]
+    n = int(lit.sum())
+    material = torch.tensor(ALBEDO).expand(n, 3), torch.full((n,), ROUGHNESS), torch.full((n,), IOR)
+    stokes = np.zeros((len(rays), 3, 3), np.float32)
+    stokes[lit] = shade(*tensors[:2], *material, *tensors[2:], light, mirror="lobe-48").stokes.numpy()
+    return stokes.reshape(camera.height, camera.width, 3, 3)
+
+
+def ball_interval(camera: Camera, middle: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray]:
+    """Distances [H * W] at which a camera's rays enter and leave a ball; infinity and minus infinity where they miss it."""
+    rays, towards = camera.rays().reshape(-1, 3), camera.centre - middle
+    b = (rays * towards).sum(-1)
+    root = b * b - (towards**2).sum() + radius**2
+    half = np.sqrt(np.maximum(root, 0))
+    return np.where(root > 0, -b - half, np.inf), np.where(root > 0, -b + half, -np.inf)
+
+
 def ellipsoid_view(camera: Camera, light) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(Stokes [H, W, 3, 3], mask [H, W], normals [H, W, 3]) by analytic intersection."""
     rays, centre = camera.rays().reshape(-1, 3), camera.centre
@@ -48,17 +69,8 @@ def ellipsoid_view(camera: Camera, light) -> tuple[np.ndarray, np.ndarray, np.nd
     points = centre + rays * ((-b - np.sqrt(np.maximum(root, 0))) / a)[:, None]
     normal = points / AXES**2
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
-    x, y = (f.reshape(-1, 3)[hit] for f in camera.stokes_frame())
-    t = [torch.as_tensor(v, dtype=torch.float32) for v in (normal[hit], -rays[hit], x, y)]
-    n = int(hit.sum())
-    shaded = shade(
-        t[0], t[1], torch.tensor(ALBEDO).expand(n, 3), torch.full((n,), ROUGHNESS), torch.full((n,), IOR), t[2], t[3], light,
-        mirror="lobe-48",
-    )  # fmt: skip
-    stokes = np.zeros((len(rays), 3, 3), np.float32)
-    stokes[hit] = shaded.stokes.numpy()
     shape = (camera.height, camera.width)
-    return stokes.reshape(*shape, 3, 3), hit.reshape(shape), (normal * hit[:, None]).reshape(*shape, 3)
+    return plastic_image(camera, hit, normal, light), hit.reshape(shape), (normal * hit[:, None]).reshape(*shape, 3)
 
 
 @pytest.fixture(scope="session")

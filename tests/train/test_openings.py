@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from pipeline.cameras import Camera
-from pipeline.lighting import Prefilter, shade
+from pipeline.lighting import Prefilter
 from stages.train import export
 from stages.train.data import SourceView, has_openings, opening_pixels, prepare
 from stages.train.parameters import TrainParameters
@@ -17,7 +17,7 @@ from stages.train.render import mean_normals
 from stages.train.setup import prepare_training
 from stages.train.trainer import Trainer
 
-from .conftest import ALBEDO, IOR, ROUGHNESS, look_at, sky
+from .conftest import look_at, plastic_image, sky
 
 CUT = 0.8  # the unit sphere's shell is open above this height
 
@@ -66,14 +66,8 @@ def bowl_view(camera: Camera, light) -> tuple[np.ndarray, np.ndarray, np.ndarray
     front = (root > 0) & (near[:, 1] < CUT)
     back = (root > 0) & ~front & (far[:, 1] < CUT)
     normal = np.where(front[:, None], near, far) * (front | back)[:, None]
-    x, y = (f.reshape(-1, 3)[front] for f in camera.stokes_frame())
-    tensors = [torch.as_tensor(v, dtype=torch.float32) for v in (normal[front], -rays[front], x, y)]
-    n = int(front.sum())
-    material = torch.tensor(ALBEDO).expand(n, 3), torch.full((n,), ROUGHNESS), torch.full((n,), IOR)
-    stokes = np.zeros((len(rays), 3, 3), np.float32)
-    stokes[front] = shade(*tensors[:2], *material, *tensors[2:], light, mirror="lobe-48").stokes.numpy()
     shape = (camera.height, camera.width)
-    return stokes.reshape(*shape, 3, 3), (front | back).reshape(shape), normal.reshape(*shape, 3)
+    return plastic_image(camera, front, normal, light), (front | back).reshape(shape), normal.reshape(*shape, 3)
 
 
 @pytest.mark.slow

@@ -25,7 +25,7 @@ from stages.train.recess.search import trial_depths, without_doubtful
 from stages.train.setup import prepare_training
 from stages.train.trainer import Trainer
 
-from .conftest import ALBEDO, IOR, ROUGHNESS, look_at, sky
+from .conftest import ALBEDO, IOR, ROUGHNESS, ball_interval, look_at, plastic_image, sky
 
 DENT_AT, DENT_RADIUS = np.array([0.0, 0.35, 1.25]), 0.75  # a ball taken out of the unit ball
 
@@ -192,27 +192,14 @@ def test_one_normal_explains_one_surface_and_not_two():
 def dented_view(camera: Camera, light) -> tuple[np.ndarray, np.ndarray]:
     """Stokes [H, W, 3, 3] and mask of the dented ball, by exact intersection: the dent's own shadow is left out."""
     rays, centre = camera.rays().reshape(-1, 3), camera.centre
-
-    def interval(middle, radius):
-        b = (rays * (centre - middle)).sum(-1)
-        root = b * b - ((centre - middle) ** 2).sum() + radius**2
-        half = np.sqrt(np.maximum(root, 0))
-        return np.where(root > 0, -b - half, np.inf), np.where(root > 0, -b + half, -np.inf)
-
-    (near, far), (open_, close) = interval(np.zeros(3), 1.0), interval(DENT_AT, DENT_RADIUS)
+    (near, far), (open_, close) = ball_interval(camera, np.zeros(3), 1.0), ball_interval(camera, DENT_AT, DENT_RADIUS)
     through = (open_ < near) & (near < close)  # the ray meets the ball where the dent is: go on to the dent's far side
     t = np.where(through, close, near)
     hit = np.isfinite(near) & (t < far)
     points = centre + rays * np.where(hit, t, 0.0)[:, None]
     normal = np.where(through[:, None], (DENT_AT - points) / DENT_RADIUS, points)
-    x, y = (f.reshape(-1, 3)[hit] for f in camera.stokes_frame())
-    tensors = [torch.as_tensor(v, dtype=torch.float32) for v in (normal[hit], -rays[hit], x, y)]
-    n = int(hit.sum())
-    material = torch.tensor(ALBEDO).expand(n, 3), torch.full((n,), ROUGHNESS), torch.full((n,), IOR)
-    stokes = np.zeros((len(rays), 3, 3), np.float32)
-    stokes[hit] = shade(*tensors[:2], *material, *tensors[2:], light, mirror="lobe-48").stokes.numpy()
     shape = (camera.height, camera.width)
-    return stokes.reshape(*shape, 3, 3), hit.reshape(shape)
+    return plastic_image(camera, hit, normal, light), hit.reshape(shape)
 
 
 def dented_sources(size: int = 64, count: int = 24) -> list[SourceView]:

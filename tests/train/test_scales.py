@@ -10,14 +10,14 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from pipeline.cameras import Camera
-from pipeline.lighting import Prefilter, shade
+from pipeline.lighting import Prefilter
 from stages.train.data import SourceView, exposure_of, has_openings, opening_pixels
 from stages.train.evaluate import psnr
 from stages.train.parameters import TrainParameters
 from stages.train.setup import prepare_training
 from stages.train.trainer import Trainer
 
-from .conftest import ALBEDO, IOR, ROUGHNESS, look_at, moved, sky
+from .conftest import ball_interval, look_at, moved, plastic_image, sky
 
 DENT_AT, DENT_RADIUS = np.array([0.0, 0.15, 1.25]), 0.7  # a ball taken out of the unit ball's front
 CUT = 0.85  # the shell is open above this height
@@ -28,14 +28,7 @@ SHIFT = np.array([30.0, -20.0, 10.0])
 def pot_view(camera: Camera, light) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Stokes [H, W, 3, 3], mask and where an opening shows [H, W] of a dented shell without a lid, black from behind."""
     rays, centre = camera.rays().reshape(-1, 3), camera.centre
-
-    def interval(middle, radius):
-        b = (rays * (centre - middle)).sum(-1)
-        root = b * b - ((centre - middle) ** 2).sum() + radius**2
-        half = np.sqrt(np.maximum(root, 0))
-        return np.where(root > 0, -b - half, np.inf), np.where(root > 0, -b + half, -np.inf)
-
-    (near, far), (enters, leaves) = interval(np.zeros(3), 1.0), interval(DENT_AT, DENT_RADIUS)
+    (near, far), (enters, leaves) = ball_interval(camera, np.zeros(3), 1.0), ball_interval(camera, DENT_AT, DENT_RADIUS)
     through = (enters < near) & (near < leaves)
     t = np.where(through, leaves, near)
     hit = np.isfinite(near) & (t < far)
@@ -44,14 +37,8 @@ def pot_view(camera: Camera, light) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     back = above & ((centre + rays * np.where(hit, far, 0.0)[:, None])[:, 1] < CUT)
     front = hit & ~above
     normal = np.where(through[:, None], (DENT_AT - points) / DENT_RADIUS, points)
-    x, y = (f.reshape(-1, 3)[front] for f in camera.stokes_frame())
-    tensors = [torch.as_tensor(v, dtype=torch.float32) for v in (normal[front], -rays[front], x, y)]
-    n = int(front.sum())
-    material = torch.tensor(ALBEDO).expand(n, 3), torch.full((n,), ROUGHNESS), torch.full((n,), IOR)
-    stokes = np.zeros((len(rays), 3, 3), np.float32)
-    stokes[front] = shade(*tensors[:2], *material, *tensors[2:], light, mirror="lobe-48").stokes.numpy()
     shape = (camera.height, camera.width)
-    return stokes.reshape(*shape, 3, 3), (front | back).reshape(shape), back.reshape(shape)
+    return plastic_image(camera, front, normal, light), (front | back).reshape(shape), back.reshape(shape)
 
 
 @lru_cache

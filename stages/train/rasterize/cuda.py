@@ -100,9 +100,8 @@ def thinned(raster: Raster, factor: int) -> Raster:
 
 def layered_image(
     gsplat: SimpleNamespace,
-    projected: tuple[
-        Tensor, ...
-    ],  # centres [1, N, 2], pixel-to-splat transforms [1, N, 3, 3], opacities [1, N], shift [1, N, 2]
+    projected: tuple[Tensor, ...],  # centres and shift [1, N, 2], transforms to splats [1, N, 3, 3], opacities [1, N], in
+    # the order centres, transforms, opacities, shift
     attributes: Tensor,  # [N, A]
     depths: Tensor,  # [N] camera z of the centres
     places: tuple[Tensor, Tensor, Tensor],  # gsplat's tile offsets and splat list, wanted pixels [H, W]
