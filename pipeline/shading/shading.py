@@ -12,12 +12,13 @@ from pipeline.optics.stokes import surface_pattern
 
 from . import limits, splitsum
 from . import prefilter_kernels as kernels
+from .light_tree import TOLERANCES
 from .prefilter import LightField
 
 FRESNELS = ("exact", "schlick")
-# Rings x azimuths of facets by name; None is the split sum. See `lobe`.
+# Rings x azimuths of facets by name (see `lobe`); None is the split sum, or a tree of the light (see `light_tree`).
 MIRRORS: dict[str, tuple[int, int] | None] = {
-    "split": None, "lobe-4": (1, 4), "lobe-12": (2, 6), "lobe-24": (3, 8), "lobe-48": (4, 12)
+    "split": None, **dict.fromkeys(TOLERANCES), "lobe-4": (1, 4), "lobe-12": (2, 6), "lobe-24": (3, 8), "lobe-48": (4, 12)
 }  # fmt: skip
 
 
@@ -64,8 +65,8 @@ def shade(
 
     fresnel: "exact" transmits light into and out of the body (Baek et al.'s polarised plastic) and integrates
     Fresnel's equations over the lobe; "schlick" is PhyGaP Eq. 20, (1 - F_schlick) albedo/pi E, with F0 tau0 + tau1.
-    mirror: "split" sum, or "lobe-4" to "lobe-48" facets (exact Fresnel only): see `lobe`; dearer and better,
-    above all at grazing view and under lamps.
+    mirror: "split" sum; "tree", "tree-coarse", "tree-fine", a quadrature over the environment's texels (see `light_tree`);
+    or "lobe-4" to "lobe-48" facets (see `lobe`). All but the split sum with exact Fresnel only.
     Values outside `limits` are clamped, their gradient kept. float32 on the CPU runs a fused kernel ("exact" only).
     """
     if fresnel not in FRESNELS:
@@ -80,7 +81,13 @@ def shade(
         occlusion.shadow, occlusion.bounced, occlusion.unblocked, occlusion.seen
     )  # fmt: skip
     given: tuple[torch.Tensor | None, ...] = (None, None)
-    if mirror != "split":
+    if mirror in TOLERANCES:
+        from . import light_tree
+
+        given = light_tree.mirrored(
+            normal, view, roughness, ior, frame_x, frame_y, light.tree, light.lobe, TOLERANCES[mirror]
+        )  # fmt: skip
+    elif mirror != "split":
         from .lobe import mirrored
 
         given = mirrored(normal, view, roughness, ior, frame_x, frame_y, light, mirror)
@@ -114,6 +121,12 @@ def plain(
     if mirror == "split":
         mirrored = light.mirrored(2 * facing[:, None] * normal - view, roughness)
         turned = across[:, None, None] * around * mirrored[:, None]
+    elif mirror in TOLERANCES:
+        from . import light_tree
+
+        mirrored, turned = light_tree.plain(
+            normal, view, roughness, eta, frame_x, frame_y, light.tree, light.lobe, TOLERANCES[mirror]
+        )  # fmt: skip
     else:
         from .lobe import plain as lobe
 
