@@ -18,13 +18,13 @@ from typing import Any
 import numpy as np
 
 from benchmarks import olat_forms, olat_frames, olat_noise, olat_plots, olat_zoo
-from benchmarks.olat_pixels import angle_deg, make, rig_of
 from benchmarks.olat_settings import AT, SETTINGS, timed
 from pipeline.lights.solid_angles import solid_angles
 from pipeline.lights.tables import table_from_positions
 from stages.olat.columns import FLAG
 from stages.olat.fit import fit
 from stages.olat.zoo import SOLVERS
+from synth.olat_pixels import angle_deg, make, rig_of
 
 RESULTS = Path(__file__).parent / "results"
 PARTS = ("speed", "lights", "forms", "noise", "frames", "zoo")

@@ -15,11 +15,11 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.olat_pixels import VIEW, make, rig_of, unit
 from pipeline.images import read_mask, write_exr, write_mask
 from stages.olat.bands import bands_of
 from stages.olat.frames import is_half, read_bands
 from stages.olat.stage import OlatParameters
+from synth.olat_pixels import VIEW, make, rig_of, unit
 
 REPEATS = 5
 BASE = 2000  # pixels that a frame is drawn from, at random: as incompressible as noise makes real frames

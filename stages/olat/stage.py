@@ -11,7 +11,9 @@ from pipeline.capture import Capture
 from pipeline.stage import Decision, Stage, StageRun
 
 Solver = Literal[
-    "closed", "lbfgs-backtracking", "lbfgs-zoom", "lbfgs-hager-zhang", "gd", "ncg", "gauss-newton", "gradient"
+    "closed", "gradient", "lbfgs-backtracking", "lbfgs-zoom", "lbfgs-hager-zhang", "gd", "ncg", "gauss-newton",
+    "optimistix-lbfgs", "optimistix-bfgs", "optimistix-ncg", "optimistix-gauss-newton", "optimistix-levenberg-marquardt",
+    "optax-lbfgs",
 ]  # fmt: skip
 
 
@@ -21,7 +23,9 @@ class OlatParameters:
 
     solver: Solver = field(
         default="closed",
-        metadata={"help": "closed forms and Newton; a jaxopt solver on PRF's own objectives; gradient: Ma et al. 2007"},
+        metadata={
+            "help": "closed forms and Newton; gradient: Ma et al. 2007; others: general solvers on PRF's objectives"
+        },
     )
     lobe: Literal["auto", "ward", "beckmann", "printed", "printed-cosine"] = field(
         default="auto", metadata={"help": "specular lobe; auto: Ward or Beckmann, whichever fits the capture better"}
@@ -103,7 +107,10 @@ def capture_files(capture: Capture) -> Iterable[Path]:
 def run(stage: StageRun) -> None:
     """Write camNN/ with its maps and preview.png for every camera."""
     from stages.olat.stream import reading
+    from stages.olat.zoo import SOLVERS, check_installed
 
+    if stage.parameters.solver in SOLVERS:
+        check_installed(stage.parameters.solver)
     with reading(stage) as lanes:
         from stages.olat.run import run as fit_all  # the frames are on their way meanwhile
 
