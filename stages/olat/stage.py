@@ -23,9 +23,7 @@ class OlatParameters:
 
     solver: Solver = field(
         default="closed",
-        metadata={
-            "help": "closed forms and Newton; gradient: Ma et al. 2007; others: general solvers on PRF's objectives"
-        },
+        metadata={"help": "closed forms and Newton; gradient: Ma et al. 2007; others: general solvers on PRF's objectives"},
     )
     lobe: Literal["auto", "ward", "beckmann", "printed", "printed-cosine"] = field(
         default="auto", metadata={"help": "specular lobe; auto: Ward or Beckmann, whichever fits the capture better"}
