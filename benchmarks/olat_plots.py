@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from stages.olat.zoo import library
+from stages.olat.zoo.solvers import library
 
 QUANTITIES = ("n_d", "rho_d", "n_s", "rho_s", "sigma")
 UNITS = {"n_d": "$n_d$", "rho_d": r"$\rho_d$", "n_s": "$n_s$", "rho_s": r"$\rho_s$", "sigma": r"$\sigma$"}

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 
 from benchmarks.olat_settings import AT, SETTINGS, timed
-from stages.olat.diffuse import fit_normal
-from stages.olat.fit import fit
-from stages.olat.lobe_fit import linear_albedo
-from stages.olat.zoo import applies, solve
+from stages.olat.pixel_fit.diffuse import fit_normal
+from stages.olat.pixel_fit.lobe_fit import linear_albedo
+from stages.olat.pixel_fit.many_pixels import fit
+from stages.olat.zoo.solvers import applies, solve
 from synth.olat_pixels import Pixels, ward
 from synth.olat_problems import gradient_norms, linear_gradient, problems
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from pipeline.capture import Capture
-from pipeline.stage import Decision, Stage, StageRun
+from pipeline.engine.stage import Decision, Stage, StageRun
 
 Solver = Literal[
     "closed", "gradient", "lbfgs-backtracking", "lbfgs-zoom", "lbfgs-hager-zhang", "gd", "ncg", "gauss-newton",
@@ -104,8 +104,8 @@ def capture_files(capture: Capture) -> Iterable[Path]:
 
 def run(stage: StageRun) -> None:
     """Write camNN/ with its maps and preview.png for every camera."""
-    from stages.olat.stream import reading
-    from stages.olat.zoo import SOLVERS, check_installed
+    from stages.olat.reading.stream import reading
+    from stages.olat.zoo.solvers import SOLVERS, check_installed
 
     if stage.parameters.solver in SOLVERS:
         check_installed(stage.parameters.solver)

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from pipeline.capture.config import OlatConfig
-from stages.olat.fit import fit
+from stages.olat.pixel_fit.fit_options import Settings
+from stages.olat.pixel_fit.many_pixels import fit
 from stages.olat.run import settings_of
-from stages.olat.settings import Settings
 from stages.olat.stage import OlatParameters
 from synth.olat_pixels import Pixels
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from stages.olat.columns import BAD_SAMPLES, BLACK, FLAG, GOOD, NO_LOBE, SATURATED, TOO_FEW, columns
-from stages.olat.fit import fit
+from stages.olat.pixel_fit.many_pixels import fit
+from stages.olat.pixel_fit.result_layout import BAD_SAMPLES, BLACK, FLAG, GOOD, NO_LOBE, SATURATED, TOO_FEW, columns
 from synth.olat_pixels import angle_deg, make
 
 pytestmark = pytest.mark.slow  # the kernels' first compilation takes most of a minute

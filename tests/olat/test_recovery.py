@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from stages.olat.columns import FLAG, columns
-from stages.olat.fit import fit
+from stages.olat.pixel_fit.many_pixels import fit
+from stages.olat.pixel_fit.result_layout import FLAG, columns
 from synth.olat_pixels import Pixels, angle_deg, beckmann, make, rig_of, unit
 
 pytestmark = pytest.mark.slow  # the kernels' first compilation takes most of a minute

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from pipeline.errors import UserError
-from stages.olat import zoo
-from stages.olat.columns import columns
-from stages.olat.fit import fit
-from stages.olat.lobe_fit import linear_albedo
-from stages.olat.paper_chain import solve_band
+from stages.olat.pixel_fit.lobe_fit import linear_albedo
+from stages.olat.pixel_fit.many_pixels import fit
+from stages.olat.pixel_fit.result_layout import columns
 from stages.olat.stage import Solver
+from stages.olat.zoo import solvers as zoo
+from stages.olat.zoo.paper_chain import solve_band
 from synth.olat_pixels import angle_deg, make
 from synth.olat_problems import gradient_norms, linear_gradient, problems
 
