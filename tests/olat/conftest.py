@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from pipeline.capture.config import OlatConfig
+from stages.olat.parameters import OlatParameters
 from stages.olat.pixel_fit.fit_options import Settings
 from stages.olat.pixel_fit.many_pixels import fit
 from stages.olat.run import settings_of
-from stages.olat.stage import OlatParameters
 from synth.olat_pixels import Pixels
 
 

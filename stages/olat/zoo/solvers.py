@@ -9,19 +9,15 @@ import importlib.util
 import warnings
 from collections.abc import Callable
 from functools import lru_cache
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import UserError
+from stages.olat.parameters import Solver
 
-JAXOPT = ("lbfgs-backtracking", "lbfgs-zoom", "lbfgs-hager-zhang", "gd", "ncg", "gauss-newton")
-OPTIMISTIX = (
-    "optimistix-lbfgs", "optimistix-bfgs", "optimistix-ncg", "optimistix-gauss-newton", "optimistix-levenberg-marquardt"
-)  # fmt: skip
-OPTAX = ("optax-lbfgs",)
-SOLVERS = JAXOPT + OPTIMISTIX + OPTAX
+SOLVERS = tuple(name for name in get_args(Solver) if name not in ("closed", "gradient"))
 LEAST_SQUARES = ("gauss-newton", "optimistix-gauss-newton", "optimistix-levenberg-marquardt")
 ITERATIONS = 500  # PRF, supplement C.1
 TOLERANCE = 1e-4  # of the gradient, data of unit norm: a tenth of what PRF reports for the solvers that it chose
@@ -41,8 +37,9 @@ def applies(solver: str, quantity: str) -> bool:
 
 
 def library(solver: str) -> str:
-    """The package that a solver comes from."""
-    return "optimistix" if solver in OPTIMISTIX else "optax" if solver in OPTAX else "jaxopt"
+    """The package that a solver comes from: its name says so, but for jaxopt's, which bear PRF's names."""
+    first = solver.partition("-")[0]
+    return first if first in ("optimistix", "optax") else "jaxopt"
 
 
 def check_installed(solver: str) -> None:
