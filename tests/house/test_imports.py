@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import ast
+import re
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).parents[2]
+DOCUMENTED = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
 PACKAGES = ("pipeline", "stages", "synth", "tests", "benchmarks")
 
 
@@ -93,11 +95,11 @@ def arrows(source: str, target: str) -> list[str]:
 
 
 def stage_of(name: str) -> str | None:
-    """The stage that a module belongs to: `olat`, `poses`; None for what holds the stages together."""
+    """The stage that a module of `stages` belongs to: `olat`, `poses`; None for what holds the stages together."""
     parts = name.split(".")
-    for folder in (parts[1:2], parts[2:3]):
-        if folder and (ROOT.joinpath(*parts[: parts.index(folder[0]) + 1]) / "stage.py").is_file():
-            return folder[0]
+    for depth in (2, 3):
+        if parts[0] == "stages" and len(parts) >= depth and (ROOT.joinpath(*parts[:depth]) / "stage.py").is_file():
+            return parts[depth - 1]
     return None
 
 
@@ -144,15 +146,34 @@ def test_tests_import_neither_benchmarks_nor_each_other():
     assert files == []
 
 
-@pytest.mark.parametrize("name", sorted(n for n in FILES if n.startswith("pipeline.")))
-def test_the_ground_names_no_stage_in_its_code(name):
-    """No module path of a stage in a string, no input of a stage by name: what it needs of a stage is handed in."""
-    tree = ast.parse(FILES[name].read_text(encoding="utf-8"))
-    told = [n.value for n in ast.walk(tree) if isinstance(n, ast.Constant) and isinstance(n.value, str)]
-    paths = [text for text in told if any(f"stages{mark}" in text for mark in "./")]
-    keyed = [
-        node.slice.value
-        for node in ast.walk(tree)
-        if isinstance(node, ast.Subscript) and isinstance(node.slice, ast.Constant) and node.slice.value in STAGES
-    ]
-    assert paths == [] and keyed == []
+STAGE_PATH = re.compile(r"\bstages[./](?!md\b)\w")
+
+
+def named_stages(tree: ast.Module) -> list[str]:
+    """Paths and modules of stages in strings (not in docstrings), and stages by which something is looked up or compared."""
+    about = [node.body[0] for node in ast.walk(tree) if isinstance(node, DOCUMENTED) and node.body]
+    prose = {id(first.value) for first in about if isinstance(first, ast.Expr)}
+    found = []
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in prose:
+            found += [node.value] if STAGE_PATH.search(node.value) else []
+        keys: list[ast.expr] = []
+        if isinstance(node, ast.Subscript):
+            keys = [node.slice]
+        elif isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute) and node.func.attr == "get":
+            keys = node.args[:1]
+        elif isinstance(node, ast.Compare):
+            keys = [node.left, *node.comparators]
+        found += [key.value for key in keys if isinstance(key, ast.Constant) and key.value in STAGES]
+    return found
+
+
+def test_names_of_stages_are_seen_in_look_ups_and_in_paths_but_not_in_prose():
+    seen = named_stages(ast.parse('"""Of stages.mesh."""\na = inputs["mesh"]\nb = "train" in c\nd = "stages/olat"\n'))
+    assert sorted(seen) == ["mesh", "stages/olat", "train"]
+
+
+@pytest.mark.parametrize("name", sorted(n for n in FILES if n.split(".")[0] == "pipeline"))
+def test_the_ground_names_no_stage(name):
+    """What it needs of a stage is handed in."""
+    assert named_stages(ast.parse(FILES[name].read_text(encoding="utf-8"))) == []
