@@ -144,8 +144,11 @@ def test_tests_import_neither_benchmarks_nor_each_other():
     assert arrows("tests", "benchmarks") == []
     files = [arrow for arrow in arrows("tests", "tests") if arrow.rpartition(".")[2].startswith("test_")]
     assert files == []
+    scripts = [name for name in FILES if name.startswith("tests.") and SCRIPT.search(FILES[name].read_text(encoding="utf-8"))]
+    assert scripts == []  # programs that tests start
 
 
+SCRIPT = re.compile(r"^\s*[\"']?(?:from|import) benchmarks\b", re.MULTILINE)
 STAGE_PATH = re.compile(r"\bstages[./](?!md\b)\w")
 
 
