@@ -27,9 +27,6 @@ from pipeline.optics.stokes import surface_pattern
 from . import limits
 from .cube import AXES, cube_directions, texel_index
 
-# Share of the lobe's own scale that a node may span (half its diagonal, as a turn of the half vector), by name of the
-# mirror. The error falls with its square, the nodes grow with its inverse square.
-TOLERANCES = {"tree-coarse": 0.6, "tree": 0.45, "tree-fine": 0.3}
 # Halvings of a texel's tent (two texels wide) at most: 64 cells across cut a texel of 11 degrees (a cube of 8) to a third of
 # the narrowest lobe's width, alpha = 0.0064.
 MOST_HALVINGS = 6

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import torch
@@ -12,39 +11,8 @@ from pipeline.optics.stokes import surface_pattern
 
 from . import limits, splitsum
 from . import prefilter_kernels as kernels
-from .light_tree import TOLERANCES
 from .prefilter import LightField
-
-FRESNELS = ("exact", "schlick")
-# Rings x azimuths of facets by name (see `lobe`); None is the split sum, or a tree of the light (see `light_tree`).
-MIRRORS: dict[str, tuple[int, int] | None] = {
-    "split": None, **dict.fromkeys(TOLERANCES), "lobe-4": (1, 4), "lobe-12": (2, 6), "lobe-24": (3, 8), "lobe-48": (4, 12)
-}  # fmt: skip
-
-
-@dataclass(frozen=True)
-class Shaded:
-    """Radiance leaving P points towards the camera, linear RGB.
-
-    stokes [P, 3 (s0, s1, s2), 3 (rgb)]; diffuse + specular = s0, both [P, 3].
-    """
-
-    stokes: torch.Tensor
-    diffuse: torch.Tensor
-    specular: torch.Tensor
-
-
-@dataclass(frozen=True)
-class Occlusion:
-    """What the object itself takes from and adds to the light at P points; see `visibility` and `gridmap`.
-
-    irradiance' = shadow * irradiance + bounced, mirrored' = unblocked * mirrored + seen.
-    """
-
-    shadow: torch.Tensor  # [P, 3] share of the unoccluded irradiance that arrives
-    bounced: torch.Tensor  # [P, 3] irradiance from the object's own surface (radiance units times sr)
-    unblocked: torch.Tensor  # [P] share of the mirrored lobe that leaves the object
-    seen: torch.Tensor  # [P, 3] radiance of the object's own surface in the rest of it
+from .types import FRESNELS, MIRRORS, TREES, Occlusion, Shaded, clamp_keeping_gradient
 
 
 def shade(
@@ -81,11 +49,11 @@ def shade(
         occlusion.shadow, occlusion.bounced, occlusion.unblocked, occlusion.seen
     )  # fmt: skip
     given: tuple[torch.Tensor | None, ...] = (None, None)
-    if mirror in TOLERANCES:
+    if mirror in TREES:
         from . import light_tree
 
         given = light_tree.mirrored(
-            normal, view, roughness, ior, frame_x, frame_y, light.tree, light.lobe, TOLERANCES[mirror]
+            normal, view, roughness, ior, frame_x, frame_y, light.tree, light.lobe, TREES[mirror]
         )  # fmt: skip
     elif mirror != "split":
         from .lobe import mirrored
@@ -121,11 +89,11 @@ def plain(
     if mirror == "split":
         mirrored = light.mirrored(2 * facing[:, None] * normal - view, roughness)
         turned = across[:, None, None] * around * mirrored[:, None]
-    elif mirror in TOLERANCES:
+    elif mirror in TREES:
         from . import light_tree
 
         mirrored, turned = light_tree.plain(
-            normal, view, roughness, eta, frame_x, frame_y, light.tree, light.lobe, TOLERANCES[mirror]
+            normal, view, roughness, eta, frame_x, frame_y, light.tree, light.lobe, TREES[mirror]
         )  # fmt: skip
     else:
         from .lobe import plain as lobe
@@ -175,11 +143,6 @@ def mirror_reflection(
     index = (eta - low) * ((splitsum.IOR_NODES - 1) / (high - low))
     rho, across = splitsum.lookup(values, (index, *where)).unbind(-1)
     return optics.reflectance(cosine, eta) * rho, across
-
-
-def clamp_keeping_gradient(x: torch.Tensor, low: float, high: float) -> torch.Tensor:
-    """x limited to [low, high]; the gradient passes as if it were not, so that a value outside finds back."""
-    return x + (x.clamp(low, high) - x).detach()
 
 
 class _Fused(torch.autograd.Function):
