@@ -24,7 +24,6 @@ from pipeline.optics import fresnel, microfacet
 from pipeline.optics.sphere import cube_solid_angles
 from pipeline.optics.stokes import surface_pattern
 
-from . import limits
 from .cube import AXES, cube_directions, texel_index
 
 # Halvings of a texel's tent (two texels wide) at most: 64 cells across cut a texel of 11 degrees (a cube of 8) to a third of

@@ -1,4 +1,4 @@
-"""`light_tree` over the pixels of a view, forward and backward (numba, float32, CPU); its readable twin is `light_tree.plain`."""
+"""`light_tree` over the pixels of a view, forward and backward: numba, float32, CPU. Its readable twin is `light_tree.plain`."""
 
 from __future__ import annotations
 
@@ -161,7 +161,8 @@ def forward(
     tolerance = np.float32(tolerance)
     parts = max(1, len(normal) // 128)
     for part in prange(parts):
-        stack, nodes, leaves = np.empty((_STACK, 4), np.int32), np.empty(CAPACITY, np.int32), np.empty((CAPACITY, 5), np.float32)
+        stack, nodes = np.empty((_STACK, 4), np.int32), np.empty(CAPACITY, np.int32)
+        leaves = np.empty((CAPACITY, 5), np.float32)
         for p in range(len(normal) * part // parts, len(normal) * (part + 1) // parts):
             n = (normal[p, 0], normal[p, 1], normal[p, 2])
             v = (view[p, 0], view[p, 1], view[p, 2])
@@ -287,7 +288,8 @@ def backward(
     tolerance = np.float32(tolerance)
     points, parts = len(normal), len(g_radiance)
     for part in prange(parts):
-        stack, nodes, leaves = np.empty((_STACK, 4), np.int32), np.empty(CAPACITY, np.int32), np.empty((CAPACITY, 5), np.float32)
+        stack, nodes = np.empty((_STACK, 4), np.int32), np.empty(CAPACITY, np.int32)
+        leaves = np.empty((CAPACITY, 5), np.float32)
         table = g_radiance[part]
         for p in range(points * part // parts, points * (part + 1) // parts):
             n = (normal[p, 0], normal[p, 1], normal[p, 2])

@@ -14,10 +14,11 @@ class RelightParameters:
     occlusion: Literal["auto", "on", "off"] = field(
         default="auto", metadata={"help": "shadows and one bounce from the mesh; auto: where training modelled them"}
     )
-    mirror: Literal["split", "lobe-4", "lobe-12", "lobe-24", "lobe-48"] = field(
-        default="lobe-24",
-        metadata={"help": "mirrored light: facets summed over the lobe, or the split sum, which blurs alike in all directions"},
-    )
+    mirror: Literal["split", "tree-coarse", "tree", "tree-fine", "lobe-4", "lobe-12", "lobe-24", "lobe-48"] = field(
+        default="tree",
+        metadata={"help": "mirrored light: the lobe summed over a tree of the map's texels; or over facets, each blurred; or the "
+                  "split sum, which blurs alike in all directions"},
+    )  # fmt: skip
     shadow_rays: Literal["vertex", "pixel"] = field(
         default="vertex",
         metadata={"help": "shadows from rays of the mesh's vertices, or of every pixel: sharper, seconds a view"},

@@ -39,8 +39,9 @@ class TrainParameters:
     polarisation: Literal["auto", "stokes", "polarisers", "none"] = _p("auto", "which polarisation data to use")
     fresnel: Literal["exact", "schlick"] = _p("exact", "Fresnel model of the radiance")
     lobe: Literal["ggx", "beckmann"] = _p("beckmann", "microfacet distribution of the specular lobe")
-    mirror: Literal["split", "lobe-4", "lobe-12", "lobe-24"] = _p(
-        "lobe-12", "mirrored light: facets summed over the lobe, or the split sum (always with schlick)"
+    mirror: Literal["split", "tree-coarse", "tree", "lobe-4", "lobe-12", "lobe-24"] = _p(
+        "lobe-12",
+        "mirrored light: the lobe summed over a tree of texels, or over facets, or the split sum (always with schlick)",
     )
     environment_resolution: int = _p(32, "texels along a side of the environment cube's faces (texels)")
     occlusion: bool = _p(True, "trace self-shadowing and one bounce where the object occludes itself")
