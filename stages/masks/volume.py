@@ -11,7 +11,7 @@ import numpy as np
 from numba import prange
 from numpy.typing import NDArray
 
-from pipeline.cameras import Camera
+from pipeline.geometry.cameras import Camera
 from pipeline.kernels.decorator import kernel
 
 NOTHING = -1e9

@@ -11,6 +11,21 @@ from __future__ import annotations
 import numpy as np
 
 from pipeline.kernels.decorator import kernel
+from pipeline.kernels.simd import (
+    BLOCK,
+    LANES,
+    TILE,
+    absolute,
+    any_lane,
+    largest,
+    load,
+    select,
+    spread,
+    store,
+    store_totals,
+    take_ticket,
+    value,
+)
 
 from .kernel_block import (
     AHEAD,
@@ -45,7 +60,6 @@ from .kernel_block import (
     prefetch_splat,
 )
 from .kernel_project import G_GEO, OPACITY, QX, QY, UX, UY, VX, VY, Z
-from .simd import BLOCK, LANES, TILE, absolute, any_lane, largest, load, select, spread, store, store_totals, take_ticket, value
 
 _f = np.float32
 
