@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.formats.sample_kernels import widen_halves
-from pipeline.kernels.decorator import kernel
+from pipeline.kernels.compiling import kernel
 
 
 @kernel(nogil=True)

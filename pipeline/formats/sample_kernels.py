@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.kernels.decorator import kernel
+from pipeline.kernels.compiling import kernel
 
 _TO_SINGLE = np.float32(2.0**112)
 """A half's exponent bias is 15, a float's 127: shifted bits are low by 2^112, subnormal halves included."""

@@ -1,6 +1,6 @@
 """How kernels are compiled and kept. One decorator, `kernel`, for all of them:
 
-    from pipeline.kernels.decorator import kernel
+    from pipeline.kernels.compiling import kernel
 
     @kernel(nogil=True, fastmath=True, error_model="numpy")  # numba.njit's options
     def scale(values, factor): ...

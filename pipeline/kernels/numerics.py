@@ -12,7 +12,7 @@ import numpy as np
 from numba import types
 from numba.extending import overload
 
-from pipeline.kernels.decorator import kernel
+from pipeline.kernels.compiling import kernel
 
 FAST = {"reassoc", "contract", "arcp", "nsz", "afn"}
 """Reassociated sums (SIMD) and reciprocals, but NaN and Inf keep their meaning."""

@@ -18,7 +18,7 @@ import math
 
 import numpy as np
 
-from pipeline.kernels.decorator import kernel
+from pipeline.kernels.compiling import kernel
 from pipeline.kernels.numerics import FAST, FOUR, HALF, ONE, TINY, TWO, ZERO, exp
 from pipeline.rig.lobe_names import BECKMANN, PRINTED, PRINTED_COSINE, WARD
 

@@ -8,7 +8,7 @@ import numpy as np
 from numba import prange
 from numpy.typing import NDArray
 
-from pipeline.kernels.decorator import kernel
+from pipeline.kernels.compiling import kernel
 from pipeline.rig.lobes import values
 
 TURNS = 6  # tangents over which a lobe without a tangent of its own is averaged

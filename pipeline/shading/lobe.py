@@ -18,7 +18,7 @@ import torch
 from numba import prange
 from numpy.typing import NDArray
 
-from pipeline.kernels.decorator import kernel
+from pipeline.kernels.compiling import kernel
 from pipeline.optics import fresnel, microfacet
 from pipeline.optics.stokes import surface_pattern
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import prange
 
-from pipeline.kernels.decorator import kernel
+from pipeline.kernels.compiling import kernel
 
 GGX, BECKMANN, COSINE, TRANSMITTED = 0, 1, 2, 3
 # IoR at which the transmitted irradiance level is computed (physics.md 3).

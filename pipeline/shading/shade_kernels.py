@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numba import get_num_threads, prange
 
-from pipeline.kernels.decorator import kernel
+from pipeline.kernels.compiling import kernel
 from pipeline.optics.fresnel import HEMISPHERICAL, HEMISPHERICAL_RANGE
 
 from . import limits, splitsum

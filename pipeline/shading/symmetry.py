@@ -20,7 +20,7 @@ from numba import prange
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
-from pipeline.kernels.decorator import kernel
+from pipeline.kernels.compiling import kernel
 
 from .cube import corner_texels, cube_directions, extended_size, texel_of
 

@@ -13,7 +13,7 @@ from numba import prange
 from numpy.typing import NDArray
 
 from pipeline.geometry.cameras import Camera
-from pipeline.kernels.decorator import kernel
+from pipeline.kernels.compiling import kernel
 from stages.masks.background import BALL_MARGIN, Fixation, fixation
 from stages.masks.volume import Grid, Projections, stack_padded
 

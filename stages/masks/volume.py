@@ -12,7 +12,7 @@ from numba import prange
 from numpy.typing import NDArray
 
 from pipeline.geometry.cameras import Camera
-from pipeline.kernels.decorator import kernel
+from pipeline.kernels.compiling import kernel
 
 NOTHING = -1e9
 """Score of a ray that misses the grid."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.kernels.decorator import kernel
+from pipeline.kernels.compiling import kernel
 
 
 @kernel(nogil=True, fastmath=True)

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.kernels.decorator import kernel
+from pipeline.kernels.compiling import kernel
 
 Plane = NDArray[np.float32]
 Stack = NDArray[np.float32]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.kernels.decorator import kernel
+from pipeline.kernels.compiling import kernel
 
 
 @kernel(nogil=True)

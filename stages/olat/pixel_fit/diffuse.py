@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from pipeline.kernels.decorator import kernel
+from pipeline.kernels.compiling import kernel
 from pipeline.kernels.numerics import FAST, HALF, ONE, ZERO, kth_largest, solve3
 
 START_FRACTION = 0.3  # of the fifth-brightest sample: above it a light is surely not shadowed

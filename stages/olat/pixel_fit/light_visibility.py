@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from pipeline.kernels.decorator import kernel
+from pipeline.kernels.compiling import kernel
 from pipeline.kernels.numerics import FAST, HALF, ONE, TWO, ZERO
 from stages.olat.pixel_fit.result_layout import INTER_D, INTER_S, OCCLUSION_D, OCCLUSION_S, VISIBILITY_D, VISIBILITY_S
 

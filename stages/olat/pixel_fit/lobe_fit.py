@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from pipeline.kernels.decorator import kernel
+from pipeline.kernels.compiling import kernel
 from pipeline.kernels.numerics import FAST, ZERO, copy1, copy2
 from pipeline.kernels.scratch import matrix, vector
 from pipeline.rig.lobes import values

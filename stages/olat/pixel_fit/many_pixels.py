@@ -19,7 +19,7 @@ from stages.olat.pixel_fit.fit_options import ROOM, Settings
 from stages.olat.pixel_fit.result_layout import WIDTH
 
 SHARE = 64  # pixels that a thread takes at a time: a few milliseconds, so that threads end together
-SOURCE = Path(__file__).with_name("kernel.py")
+SOURCE = Path(__file__).with_name("many_pixels_kernel.py")
 ARGUMENTS = ("int64",) * 5 + ("pointer",) * 14
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from numba import carray, types
 from numba.extending import overload
 
-from pipeline.kernels.decorator import kernel
+from pipeline.kernels.compiling import kernel
 from pipeline.kernels.native import machine_code
 from pipeline.kernels.scratch import folded
 from stages.olat.pixel_fit.fit_options import CHUNK, ROOM, Settings

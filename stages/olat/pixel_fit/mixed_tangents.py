@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 
 from pipeline.kernels import scratch as stack
-from pipeline.kernels.decorator import kernel
+from pipeline.kernels.compiling import kernel
 from pipeline.kernels.numerics import FAST, ZERO, cholesky_solve, copy1, copy2
 from pipeline.rig.lobes import jacobian, values
 from stages.olat.pixel_fit.specular import hold, reweight, tilt, weighted_square

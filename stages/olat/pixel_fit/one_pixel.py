@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from pipeline.kernels.decorator import kernel
+from pipeline.kernels.compiling import kernel
 from pipeline.kernels.numerics import FAST, HALF, ONE, ZERO
 from pipeline.kernels.scratch import matrix, vector
 from pipeline.rig.lobes import values

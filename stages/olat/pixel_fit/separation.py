@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from pipeline.kernels.decorator import kernel
+from pipeline.kernels.compiling import kernel
 from pipeline.kernels.numerics import FAST, LARGEST, ONE, ZERO
 
 

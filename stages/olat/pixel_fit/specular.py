@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from pipeline.kernels import scratch as stack
-from pipeline.kernels.decorator import kernel
+from pipeline.kernels.compiling import kernel
 from pipeline.kernels.numerics import FAST, ONE, ZERO, cholesky_solve, copy1, copy2
 from pipeline.rig.lobes import normal_equations
 

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pipeline.kernels.decorator import kernel
+from pipeline.kernels.compiling import kernel
 from pipeline.kernels.scratch import folded
 from stages.olat.pixel_fit.fit_options import ROWS
 

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from pipeline.kernels.decorator import kernel
+from pipeline.kernels.compiling import kernel
 from pipeline.kernels.simd import take_ticket
 
 LEAST_COSINE = 0.03  # below it a normal turns the surface away from a view that sees it

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.kernels.decorator import kernel
+from pipeline.kernels.compiling import kernel
 from pipeline.kernels.simd import BLOCK, LANES, TILE, any_lane, largest, load, maximum, spread, store, take_ticket, value
 
 from .kernel_block import (

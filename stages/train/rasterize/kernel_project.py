@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from pipeline.kernels.decorator import kernel
+from pipeline.kernels.compiling import kernel
 from pipeline.kernels.simd import LANES, TILE, load, spread, store, take_ticket
 
 from . import constants as k

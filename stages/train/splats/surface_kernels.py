@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.kernels.decorator import kernel
+from pipeline.kernels.compiling import kernel
 
 PARTS = 5  # slope, normal turn, albedo variation, offset differences, offset size
 
