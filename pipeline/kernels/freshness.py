@@ -62,6 +62,7 @@ def sources(file: Path) -> tuple[Path, ...]:
     return tuple(sorted(found))
 
 
+@functools.cache
 def dotted(file: Path) -> str:
     """The name by which `file` is imported, the same in every checkout."""
     file = file.resolve()
@@ -95,22 +96,33 @@ def _base(file: Path) -> Path:
     return base
 
 
-@functools.cache
-def _beside_libraries(base: Path) -> bool:
-    return (base / "numba").is_dir()
-
-
 def _resolved(file: Path, one: Import) -> Path | None:
     """The project file that an import in `file` reaches; None for others' modules."""
-    parts = one.module.split(".") if one.module else []
-    bases: tuple[Path, ...] = (file.parents[one.level - 1],) if one.level else ()
-    if parts and not one.level:
-        ours = parts[0] in (dotted(file).partition(".")[0], __name__.partition(".")[0])
-        bases = tuple(base for base in (_base(file), ROOT) if ours or not _beside_libraries(base))
+    if one.level:
+        bases: tuple[Path, ...] = (file.parents[one.level - 1],)
+    else:
+        top = one.module.partition(".")[0]
+        ours = top in (dotted(file).partition(".")[0], __name__.partition(".")[0])
+        bases = tuple(base for base in (_base(file), ROOT) if _holds(base, top) and (ours or not _holds(base, "numba")))
     for base in bases:
-        module = base.joinpath(*parts)
-        for path in (module / one.name, module) if one.name else (module,):
-            for candidate in (path.with_name(f"{path.name}.py"), path / "__init__.py"):
-                if candidate.is_file():
-                    return candidate
+        module = _file(base, one.module)
+        within = _file(base, f"{one.module}.{one.name}") if one.name and (module is None or module.stem == "__init__") else None
+        if found := within or module:
+            return found
+    return None
+
+
+@functools.cache
+def _holds(base: Path, top: str) -> bool:
+    """Whether a module or package lies in a folder. Where numba does, everyone's do."""
+    return (base / top).is_dir() or (base / f"{top}.py").is_file()
+
+
+@functools.cache
+def _file(base: Path, module: str) -> Path | None:
+    """The source of a module whose name (perhaps none: the package `base` itself) counts from a folder."""
+    path = os.path.join(base, *module.strip(".").split("."))
+    for candidate in (f"{path}.py", os.path.join(path, "__init__.py")):
+        if os.path.isfile(candidate):
+            return Path(candidate)
     return None

@@ -6,12 +6,15 @@ import contextlib
 import functools
 import os
 import re
+import shutil
 import time
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 """Where the project's packages lie: a checkout, or site-packages."""
 CHECKOUT = (ROOT / "pyproject.toml").is_file()
+OWN = Path(__file__).parent / "__pycache__" / "machine_code"
+"""The folder of this checkout."""
 
 OWN_DAYS, SHARED_DAYS = 1, 14
 """Unused code is deleted after so many days: processes that began before an edit may still be at work in this checkout, and
@@ -27,10 +30,10 @@ def place() -> Path | None:
 
 @functools.cache
 def _place(numba_cache: str | None, xdg_cache: str | None) -> Path | None:
-    own = Path(__file__).parent / "__pycache__" / "machine_code"
     places = [Path(numba_cache) / "polarfield"] if numba_cache else []
+    places.append(OWN)
     with contextlib.suppress(RuntimeError):  # a user without a home
-        places += [own, Path(xdg_cache or Path.home() / ".cache") / "polarfield" / "machine_code"]
+        places.append(Path(xdg_cache or Path.home() / ".cache") / "polarfield" / "machine_code")
     for folder in places:
         try:
             folder.mkdir(parents=True, exist_ok=True)
@@ -57,6 +60,8 @@ def claim(folder: Path, name: str, digest: str) -> None:
             age = float("inf")
         if age > _RENEW:
             mark.touch()
+        if age == float("inf"):
+            _borrow(folder, label(name, digest))
         if age > OWN_DAYS * 86400.0:
             clear(folder, name, digest)
 
@@ -66,7 +71,7 @@ def clear(folder: Path, name: str, digest: str) -> None:
 
     That is: code of file `name` in another state than `digest`, and of files that this checkout has not.
     """
-    own = folder.is_relative_to(ROOT)
+    own = folder == OWN
     oldest = time.time() - 86400.0 * (OWN_DAYS if own else SHARED_DAYS)
     if own:
         _clear_numbas_own()
@@ -77,6 +82,18 @@ def clear(folder: Path, name: str, digest: str) -> None:
         foreign = match["digest"] != digest if match["file"] == name else not _exists(match["file"])
         if foreign and used.get(match.group(), 0.0) < oldest and file.stat().st_mtime < oldest:
             file.unlink(missing_ok=True)
+
+
+def _borrow(folder: Path, tag: str) -> None:
+    """Copy what whoever installed the package compiled, where its user cannot write beside it (data before the index)."""
+    if folder == OWN or os.access(OWN, os.W_OK) or not OWN.is_dir():
+        return
+    for file in sorted(OWN.glob(f"*-{tag}.*")):
+        target = folder / file.name
+        if not target.exists() and file.suffix != ".mark":
+            aside = target.with_name(f"{target.name}.{os.getpid()}")
+            shutil.copyfile(file, aside)
+            os.replace(aside, target)
 
 
 def _exists(name: str) -> bool:
