@@ -17,7 +17,7 @@ _NUMBAS_OWN = "UserProvidedCacheLocator,InTreeCacheLocator,UserWideCacheLocator,
 _config: Any = numba.config  # its settings are made at run time
 _here = threading.local()  # .function: the kernel that this thread is decorating
 _decorating = threading.Lock()
-_lines: dict[tuple[str, str], int] = {}
+_made: dict[tuple[str, str], tuple[int, dict[str, Any]]] = {}
 
 
 def kernel(function: Callable[..., Any] | None = None, *, allocates: bool = True, **options: Any) -> Any:
@@ -26,7 +26,8 @@ def kernel(function: Callable[..., Any] | None = None, *, allocates: bool = True
     options: numba.njit's, `cache` aside. Nothing is set unless it is said.
     allocates: False promises that the kernel makes no arrays, and compiles it without reference counts: an atomic count for
     every view of an array, shared by the threads, took two fifths of the rasteriser's backward pass.
-    Raises TypeError on a second kernel of the same qualified name in one file: their code would be kept under one name.
+    Raises TypeError on a second kernel of the same qualified name in one file, and on other options for the same function:
+    their code would be kept under one name.
     """
     if function is None:
         return lambda function: kernel(function, allocates=allocates, **options)
@@ -36,9 +37,9 @@ def kernel(function: Callable[..., Any] | None = None, *, allocates: bool = True
     folder = storage.place()
     if folder is None or not file.is_file() or not freshness.settled(file):
         return numba.njit(**options)(function)
-    line = function.__code__.co_firstlineno
-    if _lines.setdefault((str(file), function.__qualname__), line) != line:
-        raise TypeError(f"{file}:{line}: a second kernel is called {function.__qualname__}: rename one")
+    this = function.__code__.co_firstlineno, options
+    if _made.setdefault((str(file), function.__qualname__), this) != this:
+        raise TypeError(f"{file}:{this[0]}: {function.__qualname__} is a kernel already, or one with other options: rename one")
     with _located(function):
         compiled = numba.njit(cache=True, **options)(function)
     if hasattr(compiled, "stats") and compiled.stats.cache_path != str(folder):  # with NUMBA_DISABLE_JIT it is the function

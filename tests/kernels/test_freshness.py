@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -113,6 +114,12 @@ def test_every_compiled_function_is_a_kernel() -> None:
                 names = {node.attr}
             bare += [f"{file.relative_to(ROOT)}:{node.lineno}" for _ in names & compilers]
     assert bare == []
+
+
+def test_the_tests_that_tie_kernels_to_their_formulas_exist() -> None:
+    named = re.findall(r"`(tests/[\w/]+\.py)::(\w+)`", (ROOT / "docs/adding.md").read_text())
+    assert len(named) > 10
+    assert [f"{file}::{test}" for file, test in named if f"def {test}(" not in (ROOT / file).read_text()] == []
 
 
 def test_the_command_line_does_without_numba(checkout) -> None:
