@@ -39,7 +39,7 @@ def test_rows_of_a_workspace() -> None:
 
 
 def test_operators_of_lanes() -> None:
-    """numba.core.imputils, numba.core.typing.templates: registered types, operators and intrinsics"""
+    """numba.extending: types, operators and intrinsics of our own; a context's make_array"""
 
     @njit
     def compute(out):
