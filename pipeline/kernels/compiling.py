@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 import threading
 from collections.abc import Callable
 from contextlib import contextmanager
@@ -33,7 +32,7 @@ def kernel(function: Callable[..., Any] | None = None, *, allocates: bool = True
         return lambda function: kernel(function, allocates=allocates, **options)
     if not allocates:
         options["_nrt"] = False
-    file = Path(inspect.getfile(function))
+    file = Path(function.__code__.co_filename)
     folder = storage.place()
     if folder is None or not file.is_file() or not freshness.settled(file):
         return numba.njit(**options)(function)

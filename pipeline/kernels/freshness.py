@@ -32,7 +32,7 @@ def digest(file: Path) -> str:
     """16 hexadecimal digits that stand for all that machine code of kernels in `file` depends on but the processor: the sources
     that it draws on, numba's settings in the environment, the versions of Python, numba, llvmlite and numpy."""
     options = (f"{k}={v}" for k, v in os.environ.items() if k.startswith("NUMBA_") and k not in UNRELATED)
-    return _digest(file.resolve(), tuple(sorted(options)))
+    return _digest(_true(file), tuple(sorted(options)))
 
 
 def settled(file: Path) -> bool:
@@ -42,7 +42,7 @@ def settled(file: Path) -> bool:
     one's digest.
     """
     now = time.time()  # a time to come says nothing: it is from another clock
-    return not any(STARTED < source.stat().st_mtime <= now for source in sources(file.resolve()))
+    return not any(STARTED < os.stat(source).st_mtime <= now for source in sources(_true(file)))
 
 
 @functools.cache
@@ -65,8 +65,13 @@ def sources(file: Path) -> tuple[Path, ...]:
 @functools.cache
 def dotted(file: Path) -> str:
     """The name by which `file` is imported, the same in every checkout."""
-    file = file.resolve()
+    file = _true(file)
     return ".".join(file.relative_to(_base(file)).with_suffix("").parts)
+
+
+@functools.cache
+def _true(file: Path) -> Path:
+    return file.resolve()
 
 
 @functools.cache
