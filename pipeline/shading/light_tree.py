@@ -29,6 +29,8 @@ from .cube import AXES, cube_directions, texel_index
 # Halvings of a texel's tent (two texels wide) at most: 64 cells across cut a texel of 11 degrees (a cube of 8) to a third of
 # the narrowest lobe's width, alpha = 0.0064.
 MOST_HALVINGS = 6
+# Share of all light from which on a node by the horizon is cut further: a lamp that sets is bright to the last.
+BRIGHT = 0.01
 # Sum of weights (D times solid angle) below which a point sees nothing of its lobe: float32 divides by it safely.
 NOTHING = 1e-25
 # e^-12 of its peak is nothing: where Beckmann's lobe ends.
@@ -60,7 +62,7 @@ class LightTree:
 
     shape: TreeShape
     radiance: torch.Tensor
-    place: torch.Tensor  # [S, 4] direction in which a node's light is centred, and its variance along either axis (rad^2)
+    place: torch.Tensor  # [S, 5] direction in which a node's light is centred, variance along either axis (rad^2), share of all
 
 
 @lru_cache(maxsize=8)
@@ -116,7 +118,7 @@ def light_tree(pyramid: torch.Tensor, resolution: int, coarsest: int) -> LightTr
 
 
 def _places(radiance: torch.Tensor, shape: TreeShape) -> torch.Tensor:
-    """Where each node's light is centred and its variance [S, 4]."""
+    """Where each node's light is centred, its variance and its share of all light [S, 5]."""
     like: dict[str, Any] = {"dtype": radiance.dtype, "device": radiance.device}
     finest = 6 * shape.resolution**2
     angle = torch.as_tensor(shape.solid_angle, **like)
@@ -124,13 +126,13 @@ def _places(radiance: torch.Tensor, shape: TreeShape) -> torch.Tensor:
     weight = angle[:finest] * (bright + FAINT * bright.mean() + torch.finfo(radiance.dtype).tiny)
     moment = weight[:, None] * torch.as_tensor(shape.direction[:finest], **like)
     # A texel's light is a tent over its neighbours: a sixth of its width squared along either axis.
-    out, spread = [], angle[:finest] / 6 * weight
+    out, spread, all_ = [], angle[:finest] / 6 * weight, weight.sum()
     size = shape.resolution
     while True:
         length = moment.norm(dim=1)
         # Variance of directions about their mean: one minus the mean resultant length.
         variance = (weight - length).clamp_min(0) / weight + spread / weight
-        out.append(torch.cat((moment / length[:, None], variance[:, None]), 1))
+        out.append(torch.cat((moment / length[:, None], variance[:, None], (weight / all_)[:, None]), 1))
         if size == shape.coarsest:
             return torch.cat(out)
         size //= 2
@@ -182,7 +184,9 @@ def _leaves(
         go = nl >= -2 * wide
         if lobe == "beckmann":
             go &= near <= BECKMANN_END * a2 * (1 - near)
-        done = (turn <= allowed) | (texel & (depth >= MOST_HALVINGS))
+        # Within the lobe, bright nodes that the horizon crosses are cut, and texels over which Fresnel's term bends.
+        cut = (depth < 2) & (near < 4 * a2) & (place[node, 4] > BRIGHT) & ((nl.abs() < wide) | (texel & (turn > tolerance / 4)))
+        done = ((turn <= allowed) & ~cut) | (texel & (depth >= MOST_HALVINGS))
         take = go & done & (nl > 0)
         found.append((point[take], node[take], direction[take], angle[take], variance[take]))
         split = go & ~done

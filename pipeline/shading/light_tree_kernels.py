@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
+
+from pipeline.kernels.compiling import kernel
 
 from . import limits
 from .cube import AXES
-from .light_tree import BECKMANN_END, NOTHING
+from .light_tree import BECKMANN_END, BRIGHT, NOTHING
 from .shade_kernels import MATH
 
 _AXES = AXES.astype(np.float32)
@@ -15,6 +17,7 @@ _ZERO, _HALF, _ONE, _TWO, _FOUR = (np.float32(x) for x in (0, 0.5, 1, 2, 4))
 _MIN_IOR = np.float32(limits.MIN_IOR)
 _MIN_ROUGHNESS, _MAX_ROUGHNESS = np.float32(limits.MIN_ROUGHNESS), np.float32(limits.MAX_ROUGHNESS)
 _TINY = np.float32(1e-6)
+_BRIGHT = np.float32(BRIGHT)
 _NOTHING = np.float32(NOTHING)
 _LEAST = np.float32(1e-4)  # cosine of the light below which its shadowing is taken as there: the slope of 1/cosine^2 is finite
 _END = np.float32(BECKMANN_END)
@@ -22,7 +25,7 @@ CAPACITY = 8192  # nodes a pixel may take, far more than the narrowest lobe take
 _STACK = 64  # three waiting siblings a level at most, of 8 levels of cubes and 8 of cells, and the next four
 
 
-@njit(cache=True, fastmath=MATH, error_model="numpy")
+@kernel(fastmath=MATH, error_model="numpy")
 def _lobe(n, v, l, nv, a2, e, ggx, variance):
     """(weight D G1(l) F, h, v.h, n.h, n.l, sin^2, D's width) of light from l; weight 0 below the horizon.
 
@@ -67,7 +70,7 @@ def _lobe(n, v, l, nv, a2, e, ggx, variance):
     return d * g * (x * x + y * y), h0, h1, h2, vh, nh, nl, sin2, wide
 
 
-@njit(cache=True, fastmath=MATH, error_model="numpy")
+@kernel(fastmath=MATH, error_model="numpy")
 def _cell(node, depth, a, b, size):
     """Cell (a, b) of the 2^depth x 2^depth that a texel's tent is cut into: direction, solid angle times height, variance."""
     face = node // (size * size)
@@ -91,7 +94,7 @@ def _cell(node, depth, a, b, size):
     return d0 * inverse, d1 * inverse, d2 * inverse, angle, variance * shrink
 
 
-@njit(cache=True, fastmath=MATH, error_model="numpy")
+@kernel(fastmath=MATH, error_model="numpy")
 def _choose(n, v, nv, a2, ggx, place, angle, radius, child, first_root, size, tolerance, most, stack, nodes, leaves):
     """Fill nodes [M] and leaves [M, 5] (direction, solid angle, variance) with what the lobe is summed over; returns how many.
 
@@ -99,7 +102,7 @@ def _choose(n, v, nv, a2, ggx, place, angle, radius, child, first_root, size, to
     """
     count, limit = 0, len(nodes) - _STACK
     steep = _ONE / np.sqrt(a2)
-    end = a2 * _END
+    end, bend = a2 * _END, tolerance * np.float32(0.25)
     for root in range(first_root, len(child)):
         top = 1
         stack[0, 0], stack[0, 1] = root, 0
@@ -123,7 +126,10 @@ def _choose(n, v, nv, a2, ggx, place, angle, radius, child, first_root, size, to
             allowed = tolerance * (a2 * (_ONE - near) + near) * steep
             if not ggx and near > end * (_ONE - near):
                 continue
-            if turn <= allowed or (texel and depth >= most) or count >= limit:
+            # Within the lobe, bright nodes that the horizon crosses are cut, and texels over which Fresnel's term bends.
+            cut = depth < 2 and near * steep * steep < _FOUR and place[node, 4] > _BRIGHT
+            cut = cut and (abs(nl) < wide or (texel and turn > bend))
+            if (turn <= allowed and not cut) or (texel and depth >= most) or count >= limit:
                 if nl > _ZERO:
                     nodes[count] = node
                     leaves[count, 0], leaves[count, 1], leaves[count, 2] = l0, l1, l2
@@ -141,7 +147,7 @@ def _choose(n, v, nv, a2, ggx, place, angle, radius, child, first_root, size, to
     return count
 
 
-@njit(cache=True, fastmath=MATH, error_model="numpy")
+@kernel(fastmath=MATH, error_model="numpy")
 def _polarisation(c, square, e):
     """beta_s/sin^2 with its slopes in c, square = sin^2, and eta."""
     q = np.sqrt((e - _ONE) * (e + _ONE) + c * c)
@@ -152,7 +158,7 @@ def _polarisation(c, square, e):
     return value, by_x * (q + c * c / q), -value * _TWO * square * d, by_x * c * e / q
 
 
-@njit(cache=True, parallel=True, fastmath=MATH, error_model="numpy")
+@kernel(parallel=True, fastmath=MATH, error_model="numpy")
 def forward(
     normal, view, roughness, ior, frame_x, frame_y, radiance, place, angle, radius, child, first_root, size,
     tolerance, most, ggx, value, turned, total,
@@ -197,7 +203,7 @@ def forward(
             turned[p, 1, 0], turned[p, 1, 1], turned[p, 1, 2] = u0 * inverse, u1 * inverse, u2 * inverse
 
 
-@njit(cache=True, fastmath=MATH, error_model="numpy")
+@kernel(fastmath=MATH, error_model="numpy")
 def _slopes(nh, nl, vh, sin2, a2, e, ggx, variance):
     """Slopes of log(D G1 F) in n.h, n.l, v.h, alpha^2 and eta, with the spread of the light as in `_lobe`."""
     cos2 = nh * nh
@@ -258,7 +264,7 @@ def _slopes(nh, nl, vh, sin2, a2, e, ggx, variance):
     return by_nh, by_nl, by_vh + share * (x * x_c + y * y_c), by_a2, share * (x * x_e + y * y_e)
 
 
-@njit(cache=True, fastmath=MATH, error_model="numpy")
+@kernel(fastmath=MATH, error_model="numpy")
 def _hidden_gradient(n, v, nv, g, size, table):
     """A point that sees nothing of its lobe mirrors the texel straight ahead."""
     d0, d1, d2 = _TWO * nv * n[0] - v[0], _TWO * nv * n[1] - v[1], _TWO * nv * n[2] - v[2]
@@ -279,7 +285,7 @@ def _hidden_gradient(n, v, nv, g, size, table):
         table[node, k] += g[k]
 
 
-@njit(cache=True, parallel=True, fastmath=MATH, error_model="numpy")
+@kernel(parallel=True, fastmath=MATH, error_model="numpy")
 def backward(
     normal, view, roughness, ior, frame_x, frame_y, radiance, place, angle, radius, child, first_root, size,
     tolerance, most, ggx, value, turned, total, g_value, g_turned, g_normal, g_view, g_roughness, g_ior, g_radiance,
