@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.formats.images import STOKES, read_image, write_exr, write_png, write_rgb
+from pipeline.formats.ply import write_ply
 from pipeline.geometry.cameras import camera_from_opengl
 
 from . import scene
@@ -104,12 +105,5 @@ def _write_transforms(path: Path, poses: list[NDArray], size: int, focal: float)
 
 def write_mesh(path: Path, shape: Shape) -> None:
     """The shape as an ASCII PLY triangle mesh."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    head = [
-        "ply", "format ascii 1.0", f"element vertex {len(shape.vertices)}",
-        *(f"property float {k}" for k in ("x", "y", "z", "nx", "ny", "nz")),
-        f"element face {len(shape.faces)}", "property list uchar int vertex_indices", "end_header",
-    ]  # fmt: skip
-    vertices = [" ".join(f"{x:.6g}" for x in row) for row in np.c_[shape.vertices, shape.normals]]
-    faces = [f"3 {a} {b} {c}" for a, b, c in shape.faces]
-    path.write_text("\n".join([*head, *vertices, *faces]) + "\n")
+    columns = np.c_[shape.vertices, shape.normals].T
+    write_ply(path, dict(zip(("x", "y", "z", "nx", "ny", "nz"), columns)), shape.faces, text=True)

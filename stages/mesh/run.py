@@ -6,6 +6,7 @@ import numpy as np
 
 from pipeline.engine.stage import StageRun
 from pipeline.errors import UserError
+from pipeline.formats.ply import write_ply
 from pipeline.geometry.cameras import load_cameras
 
 from .attributes import bake, vertex_table
@@ -13,7 +14,6 @@ from .clean import Mesh, fill_holes, in_fixed_order, keep_faces, largest_pieces,
 from .fusion import Extent, Volume, measure
 from .gbuffer import Views
 from .outline import outline_gap
-from .ply import write_ply
 from .refine import following_normals
 
 ROUNDS = 2  # of matching outlines: the second corrects the first by a few percent of it
@@ -33,7 +33,7 @@ def make_mesh(run: StageRun) -> None:
     mesh, seen = bake(in_fixed_order(without_slivers(mesh)), views, 2 * voxel + abs(outward))
     if p.follow_normals:
         mesh = following_normals(mesh, p.follow_normals)
-    write_ply(run.output / "mesh.ply", *vertex_table(mesh), mesh.faces)
+    write_ply(run.output / "mesh.ply", vertex_table(mesh), mesh.faces)
     run.note("size", extent.size)
     run.note("voxel", voxel)
     run.note("outward", outward)
@@ -74,4 +74,4 @@ def _write_poisson(run: StageRun, mesh: Mesh, views: Views, voxel: float) -> Non
     surface = largest_pieces(without_slivers(poisson_surface(mesh, run.parameters.poisson_depth)), 0.02)
     surface = in_fixed_order(keep_faces(surface, surface.area() > 0))
     surface, _ = bake(surface, views, 3 * voxel)
-    write_ply(run.output / "mesh_poisson.ply", *vertex_table(surface), surface.faces)
+    write_ply(run.output / "mesh_poisson.ply", vertex_table(surface), surface.faces)

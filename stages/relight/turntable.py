@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from pipeline.engine.stage import StageRun
 from pipeline.formats.images import srgb_encode, write_png
+from pipeline.formats.ply import Ply
 from pipeline.geometry.cameras import Camera
 from pipeline.rig.latlong_lights import Y_UP_FROM
 
@@ -29,7 +30,7 @@ class TexturedMesh:
     def __init__(self, path: Path) -> None:
         import open3d as o3d
 
-        vertices, self.attributes, self.faces = read_ply(path)
+        vertices, self.attributes, self.faces = read_baked_mesh(path)
         self.low, self.high = vertices.min(0), vertices.max(0)
         self._tensor = o3d.core.Tensor
         self._scene = o3d.t.geometry.RaycastingScene()
@@ -48,23 +49,10 @@ class TexturedMesh:
         return hit, origin + directions[hit] * distance[hit, None], values
 
 
-def read_ply(path: Path) -> tuple[NDArray, NDArray, NDArray]:
-    """Vertices [V, 3], attributes [V, 8] and faces [F, 3] of a mesh.ply of the mesh stage."""
-    data = path.read_bytes()
-    head, _, body = data.partition(b"end_header\n")
-    fields: list[tuple[str, str]] = []
-    counts: dict[str, int] = {}
-    for line in head.decode().splitlines():
-        words = line.split()
-        if words[0] == "element":
-            counts[words[1]] = int(words[2])
-        elif words[0] == "property" and words[1] != "list":
-            fields.append((words[2], {"float": "<f4", "uchar": "u1"}[words[1]]))
-    rows = np.frombuffer(body, np.dtype(fields), counts["vertex"])
-    triangle = np.dtype([("n", "u1"), ("v", "<i4", (3,))])
-    faces = np.frombuffer(body, triangle, counts["face"], offset=rows.nbytes)["v"].astype(np.int64)
-    position = np.stack([rows[c] for c in "xyz"], -1).astype(np.float64)
-    return position, np.stack([rows[n] for n in ATTRIBUTES], -1).astype(np.float64), faces
+def read_baked_mesh(path: Path) -> tuple[NDArray, NDArray, NDArray]:
+    """Vertices [V, 3], attributes [V, 8] and faces [F, 3] of a mesh.ply of the mesh stage. Raises UserError."""
+    ply = Ply(path)
+    return ply.vertices(), ply.vertices(ATTRIBUTES), ply.triangles()
 
 
 def orbit(cameras: dict[str, Camera], centre: NDArray, up: str, count: int, size: int) -> list[Camera]:

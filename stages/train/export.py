@@ -11,6 +11,7 @@ import numpy as np
 import torch
 
 from pipeline.formats.images import STOKES, write_exr, write_rgb
+from pipeline.formats.ply import write_ply
 
 from .render_view import Rendered
 from .splats.gaussians import SplatModel, to_numpy
@@ -114,10 +115,7 @@ def write_gaussians(path: Path, model: SplatModel, frame: SceneFrame) -> None:
     for k, c in enumerate("rgb"):
         columns[f"albedo_{c}"] = values["albedo"][:, k]
     columns["ior"], columns["roughness"] = values["ior"], values["roughness"]
-    header = ["ply", "format binary_little_endian 1.0", f"element vertex {count}"]
-    header += [f"property float {name}" for name in columns] + ["end_header", ""]
-    table = np.stack([np.asarray(v, "<f4") for v in columns.values()], -1)
-    path.write_bytes("\n".join(header).encode() + np.ascontiguousarray(table).tobytes())
+    write_ply(path, columns)
 
 
 def _rotated(quaternions: np.ndarray, rotation: np.ndarray) -> np.ndarray:

@@ -94,14 +94,14 @@ def relit(tmp_path):
 
 
 def _write_mesh(folder, mesh) -> None:
+    from pipeline.formats.ply import write_ply
     from stages.mesh.attributes import vertex_table
     from stages.mesh.clean import Mesh
-    from stages.mesh.ply import write_ply
 
     material = np.tile(np.array([0.7, 0.3, 0.1, 0.4, 1.5], np.float32), (len(mesh[0]), 1))
     whole = Mesh(mesh[0], mesh[1], {"normal": mesh[2].astype(np.float32), "material": material})
     folder.mkdir()
-    write_ply(folder / "mesh.ply", *vertex_table(whole), mesh[1])
+    write_ply(folder / "mesh.ply", vertex_table(whole), mesh[1])
 
 
 def test_every_view_is_lit_and_black_outside_the_object(relit):

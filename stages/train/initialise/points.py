@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
+from pipeline.formats.ply import Ply
+
 NEIGHBOURS = 12  # of a local plane: fewer follow the noise, more round off what 1000 points can show
 FAR = 2.5  # an outlier's neighbours are further than this many times the usual distance
 OFF_PLANE = 4.0  # an outlier is further from its neighbours' plane than this many times the usual distance
@@ -31,17 +33,10 @@ class OrientedPoints:
 
 
 def read_points(path: Path) -> np.ndarray:
-    """Positions float64 [N, 3] of a binary point PLY as the poses stage writes it; [0, 3] where there is none."""
+    """Finite positions float64 [N, 3] of a point PLY; [0, 3] where there is no such file. Raises UserError."""
     if not path.exists():
         return np.zeros((0, 3))
-    data = path.read_bytes()
-    end = data.index(b"end_header\n") + len(b"end_header\n")
-    lines = data[:end].decode("ascii").splitlines()
-    count = int(next(line.split()[-1] for line in lines if line.startswith("element vertex")))
-    kinds = {"float": "<f4", "double": "<f8", "uchar": "u1"}
-    table = np.dtype([(line.split()[2], kinds[line.split()[1]]) for line in lines if line.startswith("property")])
-    rows = np.frombuffer(data, table, count, end)
-    points = np.stack([rows[axis].astype(np.float64) for axis in "xyz"], -1)
+    points = Ply(path).vertices()
     return points[np.isfinite(points).all(-1)]
 
 
