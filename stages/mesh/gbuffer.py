@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import UserError
-from pipeline.formats.images import read_image
+from pipeline.formats.gbuffer import read_gbuffer
 from pipeline.geometry.cameras import Camera
 
 Image = NDArray[np.float32]
@@ -29,9 +29,6 @@ class DepthView:
     normal: Image
     material: Image
     alpha: Image
-
-
-CHANNELS = ("depth", "alpha", "N.X", "N.Y", "N.Z", "albedo.R", "albedo.G", "albedo.B", "roughness", "ior")
 
 
 class Views:
@@ -53,8 +50,8 @@ class Views:
 
 def read_view(path: Path, camera: Camera) -> DepthView:
     """One G-buffer. Raises UserError."""
-    a = read_image(path, CHANNELS)
-    solid = (a[..., 1] > SOLID) & (a[..., 0] > 0)
-    depth = np.where(solid, a[..., 0], 0)
-    here = camera if camera.width == a.shape[1] else camera.resized(a.shape[1], a.shape[0])
-    return DepthView(here, depth, a[..., 2:5], a[..., 5:10], a[..., 1])
+    surface = read_gbuffer(path)
+    solid = (surface.alpha > SOLID) & (surface.depth > 0)
+    height, width = solid.shape
+    depth = np.where(solid, surface.depth, 0)
+    return DepthView(camera.resized(width, height), depth, surface.normal, surface.material, surface.alpha)

@@ -17,6 +17,8 @@ import numpy as np
 import torch
 
 from pipeline.engine.progress import Bar
+from pipeline.formats.gbuffer import write_gbuffer
+from pipeline.formats.images import write_exr
 from pipeline.geometry.lens import frames_folder
 
 from . import checkpoint, export
@@ -195,12 +197,11 @@ def write_results(trainer: Trainer, start: Start, sources: list[SourceView], sta
         for source in sources:
             view, rendered = whole_view(trainer, start, source)
             channels = export.view_channels(rendered, view, frame)
-            kept = [name for name in channels if not name.startswith(("S", "diffuse", "specular"))]
-            export.write_view(output / "gbuffer" / f"{source.name}.exr", {name: channels[name] for name in kept})
+            write_gbuffer(output / "gbuffer" / f"{source.name}.exr", channels)
             if source.split == "test":
                 normals = mean_normals(trainer.scene.model.activated(), view, trainer.backend, openings)
                 channels = export.with_normals(channels, normals, view, frame)
-                export.write_view(output / "test" / f"{source.name}.exr", channels)
+                write_exr(output / "test" / f"{source.name}.exr", channels)
             bar.advance()
     export.write_gaussians(output / "gaussians.ply", trainer.scene.model, frame)
     export.write_environment(output / "env.exr", trainer.scene.environment.radiance(), frame)

@@ -107,8 +107,7 @@ def _reduced_mode(stored: str, wanted: str, path: Path) -> Mode:
 def _load(name: str, entry: dict, camera: Camera, decode: Path, masks: Path | None, split: Split, mode: Mode) -> SourceView:
     channels = read_exr(decode / entry["file"])
     height, width = next(iter(channels.values())).shape
-    camera = camera if (camera.width, camera.height) == (width, height) else camera.resized(width, height)
-    camera = replace(camera, name=entry.get("camera") or camera.name)
+    camera = replace(camera.resized(width, height), name=entry.get("camera") or camera.name)
     if "S0.R" in channels:
         parts = 3 if mode == "stokes" else 1
         image = np.stack([np.stack([channels[f"S{k}.{c}"] for c in "RGB"], -1) for k in range(parts)], -2)
