@@ -15,8 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.errors import UserError
-
-UP_AXES = ("y", "-y", "z", "-z", "x", "-x")
+from pipeline.geometry.world import UP_AXES
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,9 @@ from pipeline.engine.changes import WORDS, State, outlook, standing
 from pipeline.engine.plan import Step, plan_as_json
 from pipeline.errors import UserError
 from pipeline.formats.images import read_image, write_fault
+from pipeline.geometry.axes import nearest_to_lines
 from pipeline.geometry.cameras import Camera
+from pipeline.geometry.world import Y_UP_FROM
 
 from . import pictures
 from .model_pictures import AOLP_FULL, DOLP_FULL, exposure_of, picture, polarisation
@@ -189,8 +191,6 @@ def _environment(path: Path) -> dict[str, str]:
 
 def scene_of(capture: Capture) -> dict[str, Any]:
     """Cameras (frustum corners) and lights in a y-up frame scaled to radius 1, for the 3D drawing."""
-    from pipeline.rig.latlong_lights import Y_UP_FROM
-
     turn = Y_UP_FROM[capture.up]
     cameras: dict[str, Camera] = dict(capture.cameras or {})
     lights = np.zeros((0, 3))
@@ -201,7 +201,8 @@ def scene_of(capture: Capture) -> dict[str, Any]:
         return {"cameras": [], "lights": []}
     centres = np.stack([c.centre for c in cameras.values()])
     axes = np.stack([c.world_to_camera[2, :3] for c in cameras.values()])
-    middle = np.zeros(3) if len(lights) else nearest_to_axes(centres, axes)
+    middle = np.zeros(3) if len(lights) else nearest_to_lines(centres, axes)
+    middle = centres.mean(0) if middle is None else middle
     everything = np.concatenate([centres, lights]) - middle
     radius = float(np.linalg.norm(everything, axis=1).max()) or 1.0
     names = sorted(cameras)
@@ -222,15 +223,6 @@ def scene_of(capture: Capture) -> dict[str, Any]:
             }
         )
     return {"cameras": out, "lights": _round((lights - middle) / radius @ turn.T)}
-
-
-def nearest_to_axes(centres: NDArray, axes: NDArray) -> NDArray[np.float64]:
-    """The point nearest to all viewing axes (least squares); the centres' mean where the axes are parallel."""
-    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
-    total = across.sum(0)
-    if np.linalg.cond(total) > 1e6:
-        return centres.mean(0)
-    return np.linalg.solve(total, np.einsum("nij,nj->i", across, centres))
 
 
 def _round(values: NDArray) -> Any:

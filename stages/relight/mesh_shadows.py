@@ -9,7 +9,7 @@ import torch
 from numpy.typing import NDArray
 
 from pipeline.geometry.occluder import Occluder, simplified
-from pipeline.rig.latlong_lights import Y_UP_FROM
+from pipeline.geometry.world import Y_UP_FROM
 from pipeline.shading import Occlusion
 from pipeline.shading.transfer import Attachment, SurfaceLight, Transfer
 

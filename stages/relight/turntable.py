@@ -12,7 +12,8 @@ from pipeline.engine.stage import StageRun
 from pipeline.formats.images import srgb_encode, write_png
 from pipeline.formats.ply import Ply
 from pipeline.geometry.cameras import Camera
-from pipeline.rig.latlong_lights import Y_UP_FROM
+from pipeline.geometry.rays import RayMesh
+from pipeline.geometry.world import Y_UP_FROM
 
 from .deferred import Lamp, Surface
 
@@ -28,25 +29,16 @@ class TexturedMesh:
     """The mesh with its vertex attributes, ready for rays."""
 
     def __init__(self, path: Path) -> None:
-        import open3d as o3d
-
         vertices, self.attributes, self.faces = read_baked_mesh(path)
         self.low, self.high = vertices.min(0), vertices.max(0)
-        self._tensor = o3d.core.Tensor
-        self._scene = o3d.t.geometry.RaycastingScene()
-        self._scene.add_triangles(self._tensor(vertices.astype(np.float32)), self._tensor(self.faces.astype(np.uint32)))
+        self._rays = RayMesh(vertices, self.faces)
 
     def hit(self, origin: NDArray, directions: NDArray, attributes: NDArray) -> tuple[NDArray[np.bool_], NDArray, NDArray]:
         """Rays from `origin` along `directions` [N, 3]: which hit, and position [M, 3], attributes [M, C] of those [V, C]."""
-        rays = np.concatenate([np.broadcast_to(origin, directions.shape), directions], -1).astype(np.float32)
-        answer = self._scene.cast_rays(self._tensor(rays))
-        distance = answer["t_hit"].numpy()
-        hit = np.isfinite(distance)
-        corner = self.faces[answer["primitive_ids"].numpy()[hit].astype(np.int64)]
-        u, v = answer["primitive_uvs"].numpy()[hit].T
-        share = np.stack([1 - u - v, u, v], -1)
-        values = np.einsum("nk,nkc->nc", share, attributes[corner])
-        return hit, origin + directions[hit] * distance[hit, None], values
+        found = self._rays.cast(origin, directions)
+        hit = found.hit
+        values = np.einsum("nk,nkc->nc", found.weights[hit], attributes[self.faces[found.triangle[hit]]])
+        return hit, origin + directions[hit] * found.distance[hit, None], values
 
 
 def read_baked_mesh(path: Path) -> tuple[NDArray, NDArray, NDArray]:

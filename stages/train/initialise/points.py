@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
 from pipeline.formats.ply import Ply
+from pipeline.geometry.rays import RayMesh
 
 NEIGHBOURS = 12  # of a local plane: fewer follow the noise, more round off what 1000 points can show
 FAR = 2.5  # an outlier's neighbours are further than this many times the usual distance
@@ -108,15 +109,11 @@ class PointSurface:
         with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
             # one thread: with more the result changes from run to run
             mesh, _ = o3d.geometry.TriangleMesh.create_from_point_cloud_poisson(legacy, depth=depth, n_threads=1)
-        self.scene: Any = o3d.t.geometry.RaycastingScene()
-        self.scene.add_triangles(o3d.t.geometry.TriangleMesh.from_legacy(mesh))
+        self.solid = RayMesh(np.asarray(mesh.vertices), np.asarray(mesh.triangles))
 
     def signed_distance(self, points: np.ndarray) -> np.ndarray:
         """Signed distance [M] (world units, positive inside) at points [M, 3]."""
-        import open3d as o3d
-
-        query = o3d.core.Tensor(((points - self.middle) / self.size).astype(np.float32))
-        out = -self.scene.compute_signed_distance(query).numpy() * self.size
+        out = self.solid.signed_distance((points - self.middle) / self.size) * self.size
         if self.fades:
             nearest, _ = self.tree.query(points)
             out = out + np.maximum(nearest - SUPPORT * self.cloud.spacing, 0)
