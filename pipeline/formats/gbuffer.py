@@ -9,12 +9,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.formats.images import read_image, write_exr
+from pipeline.formats.images import RGB, read_image, write_exr
 
 Image = NDArray[np.float32]
 NORMAL = ("N.X", "N.Y", "N.Z")
 ALBEDO = ("albedo.R", "albedo.G", "albedo.B")
 MATERIAL = (*ALBEDO, "roughness", "ior")
+PARTS = ("diffuse", "specular")
+"""Beside the G-buffer of a held-back view stand its Stokes image and, as PART.R .. PART.B, the two parts of its s0."""
 CHANNELS = (*NORMAL, *MATERIAL, "alpha", "depth")
 
 
@@ -31,6 +33,21 @@ class SurfaceImage:
     alpha: Image
     depth: Image
 
+    @property
+    def albedo(self) -> Image:
+        """Diffuse reflectance, linear RGB [H, W, 3]."""
+        return self.material[..., :3]
+
+    @property
+    def roughness(self) -> Image:
+        """Perceptual roughness [H, W]: alpha is its square."""
+        return self.material[..., 3]
+
+    @property
+    def ior(self) -> Image:
+        """Index of refraction [H, W]."""
+        return self.material[..., 4]
+
 
 def read_gbuffer(path: Path) -> SurfaceImage:
     """A view's G-buffer. Raises UserError."""
@@ -42,6 +59,11 @@ def surface_of(channels: Mapping[str, Image]) -> SurfaceImage:
     """The G-buffer among an image's channels [H, W] by name, as a test view of the train stage holds it too."""
     normal, material = (np.stack([channels[name] for name in names], -1) for names in (NORMAL, MATERIAL))
     return SurfaceImage(normal, material, channels["alpha"], channels["depth"])
+
+
+def part_of(channels: Mapping[str, Image], part: str) -> Image:
+    """One of PARTS [H, W, 3] among an image's channels."""
+    return np.stack([channels[f"{part}.{c}"] for c in RGB], -1)
 
 
 def channels_of(surface: SurfaceImage) -> dict[str, Image]:

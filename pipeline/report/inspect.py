@@ -11,16 +11,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.capture import Capture
+from pipeline.capture.view_rules import TEST_EVERY, held_back
 from pipeline.engine.changes import WORDS, State, outlook, standing
 from pipeline.engine.plan import Step, plan_as_json
 from pipeline.errors import UserError
-from pipeline.formats.images import read_image, write_fault
+from pipeline.formats.gbuffer import CHANNELS, PARTS
+from pipeline.formats.images import RGB, STOKES, read_image, write_fault
 from pipeline.geometry.axes import nearest_to_lines
 from pipeline.geometry.cameras import Camera
 from pipeline.geometry.world import Y_UP_FROM
 
 from . import pictures
-from .model_pictures import AOLP_FULL, DOLP_FULL, exposure_of, picture, polarisation
+from .model_pictures import AOLP_FULL, DOLP_FULL, evenly_chosen, exposure_of, picture, polarisation
 from .page import render
 
 SHOWN = 6  # views whose pixels are looked at
@@ -28,7 +30,9 @@ LONGEST = 288  # px
 MEBI = 2**20
 # Compressed bytes of a float EXR value, as seen on the project's own images (zip halves noise, blacks cost nothing).
 BYTES_PER_VALUE = 1.6
-GBUFFER_CHANNELS, TEST_CHANNELS, STOKES_CHANNELS, MAP_CHANNELS = 10, 25, 9, 31
+STOKES_CHANNELS, MAP_CHANNELS = len(STOKES), 31
+MODEL_CHANNELS = len(CHANNELS) + (len(STOKES) + 3 * len(PARTS) + len(CHANNELS)) / TEST_EVERY
+"""A pixel of the train stage: a G-buffer of every view, and everything of the views that are held back."""
 
 
 def write_inspection(capture: Capture, steps: Sequence[Step], folder: Path, found: Mapping[str, State]) -> Path:
@@ -100,11 +104,6 @@ def _polarisers(capture: Capture) -> list[dict[str, str]]:
     return rows
 
 
-def _chosen(names: Sequence[str]) -> list[str]:
-    """A few of the views, evenly spread."""
-    return [names[i] for i in sorted({round(k) for k in np.linspace(0, len(names) - 1, min(len(names), SHOWN))})]
-
-
 def _views(capture: Capture) -> tuple[list[dict[str, Any]], list[tuple[str, str]]]:
     """Cards of a few views, and what was found wrong while reading them."""
     cards: list[dict[str, Any]] = []
@@ -116,7 +115,7 @@ def _views(capture: Capture) -> tuple[list[dict[str, Any]], list[tuple[str, str]
             except UserError as error:
                 faults.append((name, str(error)))
         return cards, faults
-    for name in _chosen([v.view for v in capture.views]):
+    for name in evenly_chosen([v.view for v in capture.views], SHOWN):
         try:
             cards.append({"view": name, "pictures": _view_pictures(capture, name)})
         except UserError as error:
@@ -129,10 +128,9 @@ def _views(capture: Capture) -> tuple[list[dict[str, Any]], list[tuple[str, str]
 
 def _stage_pictures(camera: Any) -> list[dict[str, str]]:
     """A few frames, cross and parallel, and the mask."""
-    rgb = ("R", "G", "B")
-    picks = _chosen([str(i) for i in range(len(camera.cross))])[1:5]
+    picks = evenly_chosen([str(i) for i in range(len(camera.cross))], SHOWN)[1:5]
     frames = [
-        (kind, i, read_image(paths[int(i)], rgb))
+        (kind, i, read_image(paths[int(i)], RGB))
         for i in picks
         for kind, paths in (("cross", camera.cross), ("parallel", camera.parallel))
     ]
@@ -184,7 +182,7 @@ def _view_pictures(capture: Capture, name: str) -> list[dict[str, str]]:
 
 def _environment(path: Path) -> dict[str, str]:
     try:
-        return picture(pictures.radiance(read_image(path, ("R", "G", "B"))), path.stem, "", 560)
+        return picture(pictures.radiance(read_image(path, RGB)), path.stem, "", 560)
     except UserError as error:
         return {"src": "", "title": path.stem, "text": str(error), "place": ""}
 
@@ -205,15 +203,14 @@ def scene_of(capture: Capture) -> dict[str, Any]:
     middle = centres.mean(0) if middle is None else middle
     everything = np.concatenate([centres, lights]) - middle
     radius = float(np.linalg.norm(everything, axis=1).max()) or 1.0
-    names = sorted(cameras)
-    out = []
-    for k, name in enumerate(names):
+    tested, out = held_back(cameras), []
+    for name in sorted(cameras):
         c = cameras[name]
         corners = np.array([(0, 0), (c.width, 0), (c.width, c.height), (0, c.height)], float)
         local = np.concatenate([(corners - (c.cx, c.cy)) / (c.fx, c.fy), np.ones((4, 1))], 1)
         local *= 0.16 / np.linalg.norm(local[0])
         points = (c.centre - middle) / radius + local @ c.world_to_camera[:3, :3]
-        test = capture.light_stage is None and k % 8 == 0
+        test = capture.light_stage is None and name in tested
         out.append(
             {
                 "name": name,
@@ -243,7 +240,7 @@ def disk_estimate(capture: Capture, stages: set[str]) -> list[tuple[str, float]]
         channels = 3 if capture.polarisation != "stokes" else STOKES_CHANNELS
         per_stage = {
             "decode": pixels * channels * BYTES_PER_VALUE / MEBI, "poses": 0.1 if capture.cameras else pixels / 4 / MEBI,
-            "masks": pixels / 8 / MEBI, "train": pixels * (GBUFFER_CHANNELS + TEST_CHANNELS / 8) * BYTES_PER_VALUE / MEBI + 4,
+            "masks": pixels / 8 / MEBI, "train": pixels * MODEL_CHANNELS * BYTES_PER_VALUE / MEBI + 4,
             "mesh": 8.0, "relight": pixels * (STOKES_CHANNELS + 1) * BYTES_PER_VALUE * len(capture.environments) / MEBI,
             "metrics": 3.0,
         }  # fmt: skip

@@ -11,6 +11,7 @@ from typing import Any
 
 from pipeline.engine.progress import clock
 from pipeline.engine.stage import StageRun
+from pipeline.formats.dataset_files import TRAIN_LOG
 
 from .curves import line_chart
 from .figures import headlines, tables, text_of
@@ -41,7 +42,7 @@ def write_report(run: StageRun, metrics: dict[str, Any], manifests: Mapping[str,
         "tiles": headlines(metrics),
         "plan": plan_rows(run, manifests),
         "views": [], "environment": [], "relit": [], "olat": [],
-        "curves": training_curves(run.inputs["train"] / "train_log.csv") if "train" in run.inputs else [],
+        "curves": training_curves(run.inputs["train"] / TRAIN_LOG) if "train" in run.inputs else [],
         "costs": cost_rows(manifests),
         "tables": tables(metrics),
         "warnings": [(n, w) for n, m in manifests.items() for w in m.get("warnings", [])]

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import UserError
+from pipeline.formats import dataset_files as files
 from pipeline.formats.gbuffer import read_gbuffer
 from pipeline.geometry.cameras import Camera
 
@@ -34,11 +35,14 @@ class DepthView:
 class Views:
     """Every VIEW with a G-buffer, read again whenever it is iterated over: a large capture does not fit into memory."""
 
-    def __init__(self, folder: Path, cameras: dict[str, Camera]) -> None:
-        """Raises UserError when no view shows the object."""
-        self._files = [(folder / f"{v}.exr", c) for v, c in sorted(cameras.items()) if (folder / f"{v}.exr").exists()]
+    def __init__(self, train: Path, cameras: dict[str, Camera]) -> None:
+        """`train`: the train stage's folder. Raises UserError when no view shows the object."""
+        paths = [(files.gbuffer(train, view), camera) for view, camera in sorted(cameras.items())]
+        self._files = [(path, camera) for path, camera in paths if path.exists()]
         if not any((view.depth > 0).any() for view in self):
-            raise UserError(folder, "no view shows the object", "look at the train stage's pictures: did it train?")
+            raise UserError(
+                train / files.GBUFFERS, "no view shows the object", "look at the train stage's pictures: did it train?"
+            )
 
     def __len__(self) -> int:
         return len(self._files)

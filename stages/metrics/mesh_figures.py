@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import UserError
+from pipeline.formats.dataset_files import MESH
 from pipeline.formats.ply import Ply
 
 from .table import Table
@@ -55,7 +56,7 @@ def read_mesh(path: Path) -> tuple[NDArray, NDArray]:
 def mesh_table(folder: Path, truth: Path, count: int) -> Table:
     """Figures of mesh.ply."""
     table = Table()
-    mesh = read_mesh(folder / "mesh.ply")
+    mesh = read_mesh(folder / MESH)
     table.figures["triangles"] = len(mesh[1])
     if truth.is_file():
         table.figures |= surface_figures(mesh, read_mesh(truth), count)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.engine.stage import StageRun
+from pipeline.formats.dataset_files import MESH, TURNTABLE
 from pipeline.formats.images import srgb_encode, write_png
 from pipeline.formats.ply import Ply
 from pipeline.geometry.cameras import Camera
@@ -103,7 +104,7 @@ def write_turntable(
     if "mesh" not in run.inputs:
         run.warn("there is no mesh, so no turntable")
         return
-    mesh = TexturedMesh(run.inputs["mesh"] / "mesh.ply")
+    mesh = TexturedMesh(run.inputs["mesh"] / MESH)
     centre = (mesh.low + mesh.high) / 2
     p = run.parameters
     frames = []
@@ -114,4 +115,4 @@ def write_turntable(
             write_png(folder / "turntable" / f"{k:03d}.png", shown)
             frames.append(Image.fromarray(shown))
             bar.advance(1)
-    frames[0].save(folder / "turntable.webp", save_all=True, append_images=frames[1:], duration=FRAME_MS, loop=0, quality=85)
+    frames[0].save(folder / TURNTABLE, save_all=True, append_images=frames[1:], duration=FRAME_MS, loop=0, quality=85)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from pipeline.engine.stage import StageRun
 from pipeline.errors import UserError
+from pipeline.formats import dataset_files as files
 from pipeline.formats.backdrop import grown
 from pipeline.formats.gbuffer import read_gbuffer
 from pipeline.formats.images import read_mask, srgb_encode, write_png, write_stokes
@@ -68,24 +69,24 @@ def relight_views(run: StageRun) -> None:
     """
     p = run.parameters
     train = run.inputs["train"]
-    cameras = load_cameras(run.inputs["poses"] / "cameras.json")
-    paths = {v: train / "gbuffer" / f"{v}.exr" for v in sorted(cameras)}
+    cameras = load_cameras(run.inputs["poses"] / files.CAMERAS)
+    paths = {v: files.gbuffer(train, v) for v in sorted(cameras)}
     paths = {v: q for v, q in paths.items() if q.exists()}
     if not paths:
-        raise UserError(train / "gbuffer", "there are no G-buffers", "run the train stage again")
-    model = ShadingModel.read(train / "lighting.json", run.capture.up, p.mirror)
+        raise UserError(train / files.GBUFFERS, "there are no G-buffers", "run the train stage again")
+    model = ShadingModel.read(train / files.LIGHTING, run.capture.up, p.mirror)
     lamps = {path.stem: _lamp(run, path, model) for path in run.environments}
     occluder = _occluder(run, model)
     lit = {name: occluder.under(lamp) for name, lamp in lamps.items()} if occluder else {}
     masks = run.inputs.get("masks")
     with run.progress.bar("relighting", total=len(lamps) * len(paths), unit="images") as bar:
         for view, gbuffer in paths.items():
-            pixels = read_view(gbuffer, cameras[view], masks / f"{view}.png" if masks else None)
+            pixels = read_view(gbuffer, cameras[view], files.mask(masks, view) if masks else None)
             attachment = occluder.attach(pixels.surface, p.shadow_rays == "pixel") if occluder else None
             for name, lamp in lamps.items():
                 occlusion = occluder.at(attachment, lit[name]) if occluder and attachment else None
                 stokes = pixels.image(lamp.stokes(pixels.surface, occlusion))
-                write_stokes(run.output / name / f"{view}.exr", stokes)
+                write_stokes(files.relit(run.output / name, view), stokes)
                 if p.previews:
                     write_png(run.output / name / f"{view}.png", srgb_encode(stokes[:, :, 0]))
                 bar.advance(1)
@@ -114,4 +115,4 @@ def _occluder(run: StageRun, model: ShadingModel) -> SelfOcclusion | None:
     from .mesh_shadows import SelfOcclusion
 
     run.note("occlusion", {"run": True, "reason": "the object occludes itself: shadows and bounces from the mesh"})
-    return SelfOcclusion(mesh / "mesh.ply", model)
+    return SelfOcclusion(mesh / files.MESH, model)

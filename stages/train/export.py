@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from pipeline.formats.gbuffer import NORMAL, SurfaceImage, channels_of
+from pipeline.formats.gbuffer import NORMAL, PARTS, SurfaceImage, channels_of
 from pipeline.formats.images import STOKES, write_rgb
 from pipeline.formats.ply import write_ply
 
@@ -57,7 +57,7 @@ def view_channels(rendered: Rendered, view: View, frame: SceneFrame) -> dict[str
 
     stokes = image(rendered.stokes.reshape(len(index), 9))
     channels = {name: stokes[..., k] for k, name in enumerate(STOKES)}
-    for part, values in (("diffuse", rendered.shaded.diffuse), ("specular", rendered.shaded.specular)):
+    for part, values in zip(PARTS, (rendered.shaded.diffuse, rendered.shaded.specular)):
         rgb = image(values.cpu() * alpha)
         channels |= {f"{part}.{c}": rgb[..., k] for k, c in enumerate("RGB")}
     return channels | channels_of(surface_image(rendered, view, frame))

@@ -11,15 +11,17 @@ import numpy as np
 import torch
 from scipy import ndimage
 
+from pipeline.capture.view_rules import held_back
 from pipeline.errors import UserError
+from pipeline.formats import dataset_files as files
 from pipeline.formats.images import read_exr, read_image
 from pipeline.geometry.cameras import Camera, load_cameras
+from pipeline.geometry.lens import FRAMES
 
 from .training_frame import SceneFrame
 
 Mode = Literal["stokes", "polarisers", "none"]
 Split = Literal["train", "validation", "test"]
-TEST_EVERY = 8  # the contract: every 8th of the sorted views, from the first
 BLACK_BACKGROUND = 0.01  # background radiance over foreground radiance below which the edge pixels are premultiplied
 OPENING = 2.5e-3  # radiance (mean foreground = 0.25) below which no outer side of any dielectric under a sky is: 1/100 of
 # the mean, when its mirror reflection alone gives a twentieth
@@ -74,14 +76,14 @@ class View:
 
 def load_sources(decode: Path, poses: Path, masks: Path | None, polarisation: str) -> tuple[list[SourceView], Mode]:
     """Every decoded view that has a camera, sorted by name. Raises UserError on what cannot be trained."""
-    index_path = decode / "frames.json"
+    index_path = decode / FRAMES
     index = json.loads(index_path.read_text())
-    cameras = load_cameras(poses / "cameras.json")
+    cameras = load_cameras(poses / files.CAMERAS)
     mode: Mode = index["polarisation"]
     if polarisation != "auto" and polarisation != mode:
         mode = _reduced_mode(mode, polarisation, index_path)
     names = sorted(index["views"])
-    test = set(names[::TEST_EVERY])
+    test = held_back(names)
     sources = []
     for name in names:
         if name not in cameras:
@@ -118,9 +120,9 @@ def _load(name: str, entry: dict, camera: Camera, decode: Path, masks: Path | No
         valid &= read_image(decode / entry["saturated"])[..., 0] < 0.5
     mask = np.ones((height, width), np.float32)
     if masks is not None:
-        mask = read_image(masks / f"{name}.png")[..., 0]
+        mask = read_image(files.mask(masks, name))[..., 0]
         if mask.shape != (height, width):
-            raise UserError(masks / f"{name}.png", f"is {mask.shape[::-1]}, its image {width}x{height}", "redo the masks")
+            raise UserError(files.mask(masks, name), f"is {mask.shape[::-1]}, its image {width}x{height}", "redo the masks")
     return SourceView(name, split, camera, np.nan_to_num(image, posinf=0.0, neginf=0.0), mask, valid)
 
 
