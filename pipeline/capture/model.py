@@ -13,6 +13,9 @@ from numpy.typing import NDArray
 from pipeline.capture.config import CaptureConfig
 from pipeline.geometry.cameras import Camera
 
+Polarisation = Literal["stokes", "polarisers", "none"]
+"""What is known of a view's polarisation: its Stokes vectors, its radiance behind a polariser, or nothing."""
+
 
 @dataclass(frozen=True)
 class PolariserPrior:
@@ -115,7 +118,7 @@ class Capture:
     root: Path
     layout: str
     kind: Literal["multiview", "light_stage"]
-    polarisation: Literal["stokes", "polarisers", "none"]
+    polarisation: Polarisation
     views: tuple[ViewSource, ...] = ()
     light_stage: LightStage | None = None
     environments: tuple[Path, ...] = ()

@@ -8,17 +8,12 @@ from typing import Any
 import torch
 
 from pipeline.optics import fresnel as optics
+from pipeline.optics.model_names import FRESNELS, MIRRORS
 from pipeline.optics.stokes import surface_pattern
 
 from . import limits, splitsum
 from . import prefilter_kernels as kernels
 from .prefilter import LightField
-
-FRESNELS = ("exact", "schlick")
-# Rings x azimuths of facets by name; None is the split sum. See `lobe`.
-MIRRORS: dict[str, tuple[int, int] | None] = {
-    "split": None, "lobe-4": (1, 4), "lobe-12": (2, 6), "lobe-24": (3, 8), "lobe-48": (4, 12)
-}  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ from typing import Literal
 from pipeline.capture import Capture
 from pipeline.capture.view_rules import too_few_views
 from pipeline.engine.stage import Decision, Stage, StageRun
+from pipeline.optics.model_names import Mirror
 
 
 @dataclass(frozen=True)
@@ -18,7 +19,7 @@ class RelightParameters:
     occlusion: Literal["auto", "on", "off"] = field(
         default="auto", metadata={"help": "shadows and one bounce from the mesh; auto: where training modelled them"}
     )
-    mirror: Literal["split", "lobe-4", "lobe-12", "lobe-24", "lobe-48"] = field(
+    mirror: Mirror = field(
         default="lobe-24",
         metadata={"help": "mirrored light: facets summed over the lobe, or the split sum, which blurs alike in all directions"},
     )

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
 
 from pipeline.capture.assembly.assemble import assemble, folder_camera, outside_images
 from pipeline.capture.assembly.sources import discover
 from pipeline.capture.config import CaptureConfig
 from pipeline.capture.layouts import Layout
-from pipeline.capture.model import Capture
+from pipeline.capture.model import Capture, Polarisation
 from pipeline.capture.naming.files import IMAGE_SUFFIXES, UNREADABLE, has_images, image_folder, list_images
 from pipeline.errors import UserError
 
@@ -43,7 +42,7 @@ def read(root: Path, config: CaptureConfig) -> Capture:
     """Open a folder of photographs."""
     folder, paths = pictures(root)
     sources = discover(paths, folder, config, lambda g: folder_camera(g.paths, folder, config), kind="colour")
-    polarisation: Literal["stokes", "polarisers", "none"]
+    polarisation: Polarisation
     polarisation = "stokes" if sources.holds_stokes else "polarisers" if config.polarisers else "none"
     return assemble(root, "photographs", config, folder, sources.views, polarisation, facts=sources.facts)
 

@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from scipy import ndimage
 
+from pipeline.capture.model import Polarisation as Mode
 from pipeline.capture.view_rules import held_back
 from pipeline.errors import UserError
 from pipeline.formats import dataset_files as files
@@ -20,7 +21,6 @@ from pipeline.geometry.lens import FRAMES
 
 from .training_frame import SceneFrame
 
-Mode = Literal["stokes", "polarisers", "none"]
 Split = Literal["train", "validation", "test"]
 BLACK_BACKGROUND = 0.01  # background radiance over foreground radiance below which the edge pixels are premultiplied
 OPENING = 2.5e-3  # radiance (mean foreground = 0.25) below which no outer side of any dielectric under a sky is: 1/100 of
