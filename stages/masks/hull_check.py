@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from pipeline.geometry.cameras import Camera
 from stages.masks.background import BALL_MARGIN, Fixation, fixation
-from stages.masks.volume import Grid, Projections, stack_padded
+from stages.masks.volume import Grid, Projections, pixel_of, stack_padded
 
 GRID = 96
 FLAG = 0.05
@@ -83,14 +83,10 @@ def _count(solid, forward, sizes, low, step, against, culprit):
             for column in range(n):
                 x = low[0] + (column + 0.5) * step
                 for v in range(forward.shape[0]):
-                    p = forward[v]
-                    depth = p[2, 0] * x + p[2, 1] * y + p[2, 2] * z + p[2, 3]
-                    if depth > 0:
-                        u = int(np.floor((p[0, 0] * x + p[0, 1] * y + p[0, 2] * z + p[0, 3]) / depth))
-                        t = int(np.floor((p[1, 0] * x + p[1, 1] * y + p[1, 2] * z + p[1, 3]) / depth))
-                        if 0 <= u < sizes[v, 0] and 0 <= t < sizes[v, 1] and not solid[v, t, u]:
-                            against[plane, row, column] += 1
-                            culprit[plane, row, column] = v
+                    u, t = pixel_of(forward[v], x, y, z)
+                    if 0 <= u < sizes[v, 0] and 0 <= t < sizes[v, 1] and not solid[v, t, u]:
+                        against[plane, row, column] += 1
+                        culprit[plane, row, column] = v
 
 
 @numba.njit(cache=True)
