@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.capture.config import CaptureConfig
+from pipeline.formats.ground_truth import Truth
 from pipeline.geometry.cameras import Camera
 
 Polarisation = Literal["stokes", "polarisers", "none"]
@@ -139,6 +140,11 @@ class Capture:
         if self.light_stage is not None:
             return tuple(sorted(self.light_stage.cameras))
         return tuple(sorted({view.camera for view in self.views}))
+
+    @property
+    def truth(self) -> Truth:
+        """What the folder holds of ground truth."""
+        return Truth(self.root, tuple(sorted(view.view for view in self.views)))
 
     def view(self, name: str) -> ViewSource:
         """The view called `name`; KeyError if there is none."""

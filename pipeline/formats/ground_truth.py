@@ -6,16 +6,13 @@ import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import UserError
 from pipeline.formats.images import XYZ, read_image
-
-if TYPE_CHECKING:
-    from pipeline.capture import Capture
 
 FOLDER = "gt"
 
@@ -26,11 +23,6 @@ class Truth:
 
     root: Path
     views: tuple[str, ...]
-
-    @classmethod
-    def of(cls, capture: Capture) -> Truth:
-        """What a capture's folder holds of it."""
-        return cls(capture.root, tuple(sorted(v.view for v in capture.views)))
 
     def find(self, kind: str, view: str, suffix: str = "exr") -> Path | None:
         """gt/KIND/VIEW.exr, or by the view's place in sorted order (gt/KIND/007.exr)."""

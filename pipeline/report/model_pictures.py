@@ -13,7 +13,6 @@ from pipeline.engine.stage import StageRun
 from pipeline.formats import dataset_files as files
 from pipeline.formats.backdrop import object_pixels
 from pipeline.formats.gbuffer import PARTS, part_of, surface_of
-from pipeline.formats.ground_truth import Truth
 from pipeline.formats.images import RGB, S0, channel_names, read_exr, read_image, read_stokes
 from pipeline.geometry.lens import frames_folder
 from pipeline.optics.stokes import angle, degree
@@ -98,7 +97,7 @@ def _view_pictures(run: StageRun, view: str) -> list[dict[str, str]]:
     if measured_stokes is not None and same:
         add(pictures.angles(aolp, dolp / AOLP_FULL * (inside > 0.5)), "AoLP", "measured")
     add(pictures.angles(aolp_fit, dolp_fit / AOLP_FULL * solid), "AoLP", "model")
-    normal, true = surface.normal, Truth.of(run.capture).normal(view)
+    normal, true = surface.normal, run.capture.truth.normal(view)
     if true is not None:
         add(pictures.normals(true), "normals", "truth")
         if true.shape == normal.shape:
@@ -119,7 +118,7 @@ def _view_pictures(run: StageRun, view: str) -> list[dict[str, str]]:
 def environment_pictures(run: StageRun) -> list[dict[str, str]]:
     """The fitted environment beside the true one."""
     out = []
-    truth, fit = Truth.of(run.capture).environment, run.inputs["train"] / files.ENVIRONMENT
+    truth, fit = run.capture.truth.environment, run.inputs["train"] / files.ENVIRONMENT
     if truth.is_file():
         out.append(picture(pictures.radiance(read_image(truth, RGB)), "truth", "the map that lit the capture", 560))
     if fit.is_file():
@@ -129,7 +128,7 @@ def environment_pictures(run: StageRun) -> list[dict[str, str]]:
 
 def relit_cards(run: StageRun, metrics: dict[str, Any]) -> list[dict[str, Any]]:
     """For every map: the map, and views beside their truth where there is one."""
-    truth = Truth.of(run.capture)
+    truth = run.capture.truth
     longest, out = run.parameters.picture_px, []
     maps = {p.stem: p for p in run.capture.environments}
     for folder in files.subfolders(run.inputs["relight"]):

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import csv
-import json
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from pipeline.engine.dataset import Dataset
 from pipeline.engine.progress import clock
 from pipeline.engine.stage import StageRun
 from pipeline.formats.dataset_files import TRAIN_LOG
@@ -86,10 +85,8 @@ def capture_facts(run: StageRun) -> list[str]:
 
 def plan_rows(run: StageRun, manifests: Mapping[str, dict[str, Any]]) -> list[dict[str, Any]]:
     """Every stage's decision with its reason; passes that stages decided on while running are added."""
-    root = Path(os.path.abspath(next(iter(run.inputs.values())))).parents[1] if run.inputs else Path()
-    try:
-        plan = json.loads((root / "dataset.json").read_text())["plan"]
-    except (OSError, ValueError, KeyError):
+    plan = Dataset.holding(next(iter(run.inputs.values()))).read_description().get("plan") if run.inputs else None
+    if plan is None:
         plan = {n: m.get("decision", {"run": True, "reason": ""}) for n, m in manifests.items()}
     rows = []
     for name, decision in plan.items():

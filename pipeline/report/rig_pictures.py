@@ -10,7 +10,6 @@ import numpy as np
 
 from pipeline.engine.stage import StageRun
 from pipeline.formats import dataset_files as files
-from pipeline.formats.ground_truth import Truth
 from pipeline.formats.images import RGB, XYZ, read_image
 
 from . import pictures
@@ -45,7 +44,7 @@ def _maps(run: StageRun, folder: Path) -> list[dict[str, str]]:
 
     add(pictures.radiance(fitted("diffuse_albedo", RGB)), "diffuse albedo", "ρ_d")
     add(pictures.scale(one("specular_albedo"), 0, 1, mask=there), "specular albedo", "ρ_s, 0 to 1")
-    truth = Truth.of(run.capture).camera_maps(folder.name)
+    truth = run.capture.truth.camera_maps(folder.name)
     if truth is not None:
         true, inside = truth["normal"], truth["mask"] > 0.5
         if true.shape == normal.shape:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from pipeline.engine.stage import StageRun
 from pipeline.errors import UserError
+from pipeline.formats import dataset_files as files
 from pipeline.formats.ply import Ply
 from pipeline.geometry.cameras import Camera
 from stages.masks.background import Fixation, fixation, tidy
@@ -120,7 +121,7 @@ def segment_image(model: Any, image: NDArray[np.uint8], points: NDArray | None, 
 
 def _points(stage: StageRun, ball: Fixation | None) -> NDArray | None:
     """The sparse model's points inside the ball that the cameras look at."""
-    path = stage.inputs.get("poses", Path("/nonexistent")) / "points.ply"
+    path = stage.inputs.get("poses", Path("/nonexistent")) / files.POINTS
     if not path.is_file():
         return None
     cloud = Ply(path).vertices()

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.engine.stage import StageRun
+from pipeline.formats.dataset_files import CAMERAS
 from pipeline.formats.images import read_image
 from pipeline.geometry.cameras import Camera, load_cameras
 from pipeline.geometry.lens import frames_folder
@@ -68,6 +69,6 @@ def frame_s0(stage: StageRun, view: str) -> NDArray[np.float32]:
 
 def cameras_of(stage: StageRun) -> dict[str, Camera]:
     """The poses stage's cameras by VIEW; empty without any."""
-    if "poses" not in stage.inputs or not (stage.inputs["poses"] / "cameras.json").is_file():
+    if "poses" not in stage.inputs or not (stage.inputs["poses"] / CAMERAS).is_file():
         return {}
-    return load_cameras(stage.inputs["poses"] / "cameras.json")
+    return load_cameras(stage.inputs["poses"] / CAMERAS)

@@ -7,7 +7,6 @@ from typing import Any
 
 from pipeline.engine.stage import StageRun
 from pipeline.formats import dataset_files as files
-from pipeline.formats.ground_truth import Truth
 from pipeline.geometry.lens import FRAMES, frames_folder
 
 from .mesh_figures import mesh_table
@@ -36,7 +35,7 @@ def measure(run: StageRun) -> None:
 def figures(run: StageRun) -> dict[str, Table]:
     """A table for every stage that ran and has figures beside its costs."""
     inputs, capture = run.inputs, run.capture
-    truth = Truth.of(capture)
+    truth = capture.truth
     masks = inputs.get("masks")
     tables: dict[str, Table] = {}
     steps = [name for name in ("decode", "masks", "olat", "train", "mesh", "relight") if name in inputs]

@@ -8,7 +8,6 @@ from pathlib import Path
 
 from pipeline.capture import Capture
 from pipeline.engine.stage import Decision, Stage, StageRun
-from pipeline.formats.ground_truth import Truth
 
 
 @dataclass(frozen=True)
@@ -37,7 +36,7 @@ def needed(capture: Capture, parameters: MetricsParameters) -> Decision:
 
 def capture_files(capture: Capture) -> Iterable[Path]:
     """The capture's ground truth."""
-    return Truth.of(capture).files()
+    return capture.truth.files()
 
 
 def run(run: StageRun) -> None:
