@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.formats.backdrop import grown
 from pipeline.formats.images import STOKES, read_image, write_exr, write_png, write_rgb
 from pipeline.formats.ply import write_ply
 from pipeline.geometry.cameras import camera_from_opengl
@@ -89,9 +90,7 @@ def _write_geometry(truth: Path, name: str, lit: Any, view: Any, pose: NDArray, 
 
 def _touches(empty: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Pixels that are empty or have an empty neighbour."""
-    padded = np.pad(empty, 1, constant_values=True)
-    h, w = empty.shape
-    return np.logical_or.reduce([padded[dy : dy + h, dx : dx + w] for dy in range(3) for dx in range(3)])
+    return grown(np.pad(empty, 1, constant_values=True))[1:-1, 1:-1]
 
 
 def _write_transforms(path: Path, poses: list[NDArray], size: int, focal: float) -> None:

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,7 +80,7 @@ class Truth:
         try:
             with np.load(path) as maps:
                 return {name: maps[name] for name in maps.files}
-        except (OSError, ValueError) as error:
+        except (OSError, ValueError, EOFError, BadZipFile) as error:
             raise UserError(path, f"cannot be read ({error})", "mend or remove it") from error
 
     def files(self) -> list[Path]:

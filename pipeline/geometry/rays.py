@@ -13,19 +13,29 @@ from numpy.typing import NDArray
 class RayHits:
     """Where R rays meet a mesh first.
 
-    distance [R]: along unit directions, infinite for a miss; of hits: triangle [R], weights [R, 3] of its corners, and its
-    unit normal [R, 3] by its winding.
+    distance [R]: along unit directions, infinite for a miss; of hits: triangle [R], the weights [R, 2] of its second and third
+    corner, and its normal [R, 3] by its winding.
     """
 
     distance: NDArray[np.float32]
     triangle: NDArray[np.int64]
-    weights: NDArray[np.float32]
+    uv: NDArray[np.float32]
     normal: NDArray[np.float32]
 
     @property
     def hit(self) -> NDArray[np.bool_]:
         """Which rays meet anything [R]."""
         return np.isfinite(self.distance)
+
+    @property
+    def weights(self) -> NDArray[np.float32]:
+        """Weights [R, 3] of the triangle's corners."""
+        return _weights(self.uv)
+
+    @property
+    def corner(self) -> NDArray[np.int64]:
+        """Which corner [R] (0, 1, 2) of its triangle a hit is nearest to, by weight."""
+        return np.concatenate([1 - self.uv.sum(-1, keepdims=True), self.uv], -1).argmax(-1)
 
 
 @dataclass(frozen=True)
@@ -54,7 +64,7 @@ class RayMesh:
         return RayHits(
             found["t_hit"].numpy(),
             found["primitive_ids"].numpy().astype(np.int64),
-            _weights(found["primitive_uvs"].numpy()),
+            found["primitive_uvs"].numpy(),
             found["primitive_normals"].numpy(),
         )
 

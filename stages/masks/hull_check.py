@@ -12,6 +12,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.formats.backdrop import grown
 from pipeline.geometry.cameras import Camera
 from stages.masks.background import BALL_MARGIN, Fixation, fixation
 from stages.masks.volume import Grid, Projections, pixel_of, stack_padded
@@ -44,7 +45,8 @@ def check_masks_agree(masks: list[NDArray[np.bool_]], cameras: list[Camera]) -> 
     solid = stack_padded(masks, bool)
     against = np.zeros((grid.count,) * 3, np.int32)
     culprit = np.full((grid.count,) * 3, -1, np.int32)
-    _count(_grown(solid), projections.forward, projections.sizes, grid.low, grid.step, against, culprit)
+    outline = np.stack([grown(mask) for mask in solid])  # a voxel on the border must not be carved by rounding
+    _count(outline, projections.forward, projections.sizes, grid.low, grid.step, against, culprit)
     excess = np.zeros(len(masks))
     blame = np.zeros((len(masks), len(masks)))
     _explain(
@@ -64,13 +66,6 @@ def _grid(masks: list[NDArray[np.bool_]], cameras: list[Camera], ball: Fixation)
             reach = max(reach, float(np.percentile(distance, 99.5)))
     half = min(BALL_MARGIN * ball.radius, 1.05 * reach) if reach > 0 else ball.radius
     return Grid(ball.centre - half, 2 * half / GRID, GRID)
-
-
-def _grown(solid: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Masks grown by a pixel: a voxel on the border must not be carved by rounding."""
-    from scipy.ndimage import binary_dilation
-
-    return binary_dilation(solid, np.ones((1, 3, 3), bool))
 
 
 @numba.njit(parallel=True, cache=True)

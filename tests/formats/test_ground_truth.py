@@ -45,8 +45,10 @@ def test_every_file_of_ground_truth_is_listed_and_nothing_else(tmp_path: Path) -
         path.write_bytes(b"{}")
     listed = {str(path.relative_to(tmp_path)) for path in truth.files()}
     assert listed == {"gt/mesh.ply", "gt/relight/studio/a.exr", "gt_brdf.json", "cam00/gt/maps.npz"}
-    with pytest.raises(UserError, match="maps.npz"):
-        truth.camera_maps("cam00")
+    for damaged in (b"{}", b"", b"PK\x03\x04 cut off"):
+        (tmp_path / "cam00/gt/maps.npz").write_bytes(damaged)
+        with pytest.raises(UserError, match=r"maps\.npz: cannot be read"):
+            truth.camera_maps("cam00")
     assert truth.camera_maps("cam01") is None
 
 

@@ -25,6 +25,7 @@ def test_a_ray_finds_place_triangle_and_outward_normal(cube: RayMesh) -> None:
     assert found.hit.tolist() == [True, False] and found.distance[0] == pytest.approx(4)
     corners = CUBE[FACES[found.triangle[0]]]
     assert found.weights[0] @ corners == pytest.approx([1, 0.2, 0.3], abs=1e-6)
+    assert found.corner[0] == found.weights[0].argmax()
     assert found.normal[0] / np.linalg.norm(found.normal[0]) == pytest.approx([1, 0, 0])
 
 

@@ -45,9 +45,8 @@ class Occluder:
         """
         found = self.rays.cast(origins, directions)
         hit = found.hit & ((found.normal * directions).sum(-1) < 0)
-        corner = found.weights.argmax(-1)
         splat = np.full(len(hit), -1, np.int64)
-        splat[hit] = self.splat_of_vertex[self.triangles[found.triangle[hit], corner[hit]]]
+        splat[hit] = self.splat_of_vertex[self.triangles[found.triangle[hit], found.corner[hit]]]
         return hit, splat
 
 

@@ -15,6 +15,7 @@ from pipeline.capture.model import Polarisation as Mode
 from pipeline.capture.view_rules import held_back
 from pipeline.errors import UserError
 from pipeline.formats import dataset_files as files
+from pipeline.formats.backdrop import grown
 from pipeline.formats.images import read_exr, read_image
 from pipeline.geometry.cameras import Camera, load_cameras
 from pipeline.geometry.lens import FRAMES
@@ -232,7 +233,7 @@ def openness(source: SourceView, exposure: float) -> np.ndarray:
     opening = opening_pixels(source, exposure)
     bright = source.image[:, :, 0].max(-1)
     full = np.asarray(ndimage.maximum_filter(np.where(opening, 0.0, bright), 5))
-    rim = ndimage.binary_dilation(opening, structure=np.ones((3, 3), bool)) & ~opening & (source.mask > 0.99)
+    rim = grown(opening) & ~opening & (source.mask > 0.99)
     share = 1 - bright / np.maximum(full, 1e-30)  # 0 / 0 where all about is black, which is no rim
     return np.where(opening, 1.0, np.where(rim, np.clip(share, 0.0, 1.0), 0.0))
 
@@ -252,12 +253,12 @@ def prepare(source: SourceView, frame: SceneFrame, black: bool, device: str = "c
     camera = frame.camera(source.camera)
     full = source.mask > 0.99
     any_ = source.mask > 0.01
-    grown = ndimage.binary_dilation(any_, structure=np.ones((3, 3), bool))
+    wide = grown(any_)
     core = full & ndimage.binary_erosion(full, border_value=1)
-    counted = (grown if black else core) & source.valid
-    alpha_weight = np.where(core | ~grown, 1.0, 0.0) if black else np.where(core | ~any_, 1.0, 0.25)
+    counted = (wide if black else core) & source.valid
+    alpha_weight = np.where(core | ~wide, 1.0, 0.0) if black else np.where(core | ~any_, 1.0, 0.25)
     opening = opening_pixels(source, frame.exposure) if openings else np.zeros(full.shape, bool)
-    near_opening = ndimage.binary_dilation(opening, structure=np.ones((3, 3), bool))
+    near_opening = grown(opening)
     alpha_weight = np.where(opening, 1.0, np.where(near_opening, 0.0, alpha_weight))
     index = np.flatnonzero(counted)
     rays = camera.rays().reshape(-1, 3)[index]
