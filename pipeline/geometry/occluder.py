@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from pipeline.geometry.normals import UPWARD, vertex_normals
 from pipeline.geometry.rays import RayMesh
-from pipeline.optics.sphere import hemisphere_rule
 
 Float = NDArray[np.float32]
 
@@ -60,19 +59,6 @@ class Occluder:
 
     def _corners(self, triangle: NDArray[np.int64]) -> NDArray[np.int64]:
         return self.triangles[triangle].astype(np.int64)
-
-    def blocked_share(self, samples: int = 500, seed: int = 0) -> float:
-        """Share of cosine-weighted light that the mesh takes from itself, averaged over `samples` vertices.
-
-        0 for a convex object: then no occlusion needs computing. 32 000 rays by default, a few milliseconds.
-        """
-        rng = np.random.default_rng(seed)
-        chosen = rng.choice(len(self.vertices), min(samples, len(self.vertices)), replace=False)
-        local, weight = hemisphere_rule(4, 16)
-        world = np.einsum("ka,pab->pkb", local, tangent_frames(self.normals[chosen]))
-        origins = self.vertices[chosen] + self.lift * self.normals[chosen]
-        blocked = self.blocked(np.broadcast_to(origins[:, None], world.shape), world)
-        return float((blocked * (weight * local[:, 2])).sum(-1).mean() / np.pi)
 
 
 def simplified(vertices: NDArray, triangles: NDArray, faces: int = 20_000) -> tuple[NDArray, NDArray]:

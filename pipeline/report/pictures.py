@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import base64
 import io
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.formats.images import srgb_encode
+from pipeline.optics.stokes import angle, degree
 
+DOLP_FULL = 0.6  # DoLP at the bright end of its colour scale
+DARK = 1e-3  # s0 below which no polarisation is shown
+AOLP_FULL = 0.15  # DoLP from which an angle is shown at full brightness
 # Anchor colours (sRGB) of two perceptually even scales, dark to light.
 INFERNO = (
     (0, 0, 4),
@@ -93,3 +98,25 @@ def crop_box(masks: list[NDArray[np.bool_]], margin: float = 0.06) -> tuple[slic
     pad = int(margin * max(np.ptp(rows), np.ptp(columns))) + 1
     top, left = max(rows[0] - pad, 0), max(columns[0] - pad, 0)
     return slice(top, rows[-1] + pad + 1), slice(left, columns[-1] + pad + 1)
+
+
+def picture(pixels: NDArray[np.uint8], title: str, text: str, longest: int, place: str = "") -> dict[str, str]:
+    """One figure of a page; place "first" starts a row."""
+    return {"src": data_uri(pixels, longest), "title": title, "text": text, "place": place}
+
+
+def polarisation(stokes: NDArray) -> tuple[NDArray, NDArray]:
+    """DoLP and AoLP (radians) of the colour mean; 0 where it is dark."""
+    mean = stokes.mean(-1)
+    return np.where(mean[..., 0] > DARK, degree(mean), 0), angle(mean)
+
+
+def evenly_chosen(names: Sequence[str], most: int) -> list[str]:
+    """At most `most` of the names, evenly spread, the first and last among them."""
+    return [names[i] for i in sorted({round(k) for k in np.linspace(0, len(names) - 1, min(len(names), most))})]
+
+
+def exposure_of(image: NDArray) -> float:
+    """A factor that puts the brightest percent of the object at display white; 1 for images that are bright enough."""
+    bright = image[image.max(-1) > 1e-4]
+    return float(1 / max(np.percentile(bright, 98), 1e-6)) if len(bright) and np.percentile(bright, 98) < 0.6 else 1.0

@@ -11,9 +11,8 @@ import numpy as np
 from pipeline.engine.stage import StageRun
 from pipeline.formats import dataset_files as files
 from pipeline.formats.images import RGB, XYZ, read_image
-
-from . import pictures
-from .model_pictures import picture
+from pipeline.report import pictures
+from pipeline.report.pictures import picture
 
 ERROR_FULL = 0.5  # difference over the mean of the frames' sum, at the bright end
 FLAG_COLOURS = ((24, 26, 30), (214, 158, 46), (197, 48, 48), (90, 90, 90), (49, 130, 206), (128, 90, 213))

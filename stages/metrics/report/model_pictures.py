@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -15,37 +14,11 @@ from pipeline.formats.backdrop import object_pixels
 from pipeline.formats.gbuffer import PARTS, part_of, surface_of
 from pipeline.formats.images import RGB, S0, channel_names, read_exr, read_image, read_stokes
 from pipeline.geometry.lens import frames_folder
-from pipeline.optics.stokes import angle, degree
-
-from . import pictures
+from pipeline.report import pictures
+from pipeline.report.pictures import AOLP_FULL, DOLP_FULL, evenly_chosen, exposure_of, picture, polarisation
 
 SHOWN_RELIT = 4  # views of every map
-DOLP_FULL = 0.6  # DoLP at the bright end of its colour scale
-AOLP_FULL = 0.15  # DoLP from which an angle is shown at full brightness
-DARK = 1e-3  # s0 below which the pages show no polarisation
 ERROR_DEG = 30.0  # normal error at the bright end
-
-
-def picture(pixels: NDArray[np.uint8], title: str, text: str, longest: int, place: str = "") -> dict[str, str]:
-    """One figure of a page; place "first" starts a row."""
-    return {"src": pictures.data_uri(pixels, longest), "title": title, "text": text, "place": place}
-
-
-def polarisation(stokes: NDArray) -> tuple[NDArray, NDArray]:
-    """DoLP and AoLP (radians) of the colour mean; 0 where it is dark."""
-    mean = stokes.mean(-1)
-    return np.where(mean[..., 0] > DARK, degree(mean), 0), angle(mean)
-
-
-def exposure_of(image: NDArray) -> float:
-    """A factor that puts the brightest percent of the object at display white; 1 for images that are bright enough."""
-    bright = image[image.max(-1) > 1e-4]
-    return float(1 / max(np.percentile(bright, 98), 1e-6)) if len(bright) and np.percentile(bright, 98) < 0.6 else 1.0
-
-
-def evenly_chosen(names: Sequence[str], most: int) -> list[str]:
-    """At most `most` of the names, evenly spread, the first and last among them."""
-    return [names[i] for i in sorted({round(k) for k in np.linspace(0, len(names) - 1, min(len(names), most))})]
 
 
 def view_cards(run: StageRun, metrics: dict[str, Any]) -> list[dict[str, Any]]:
