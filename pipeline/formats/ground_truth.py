@@ -78,7 +78,7 @@ class Truth:
         if not path.is_file():
             return None
         try:
-            with np.load(path) as maps:
+            with path.open("rb") as file, np.load(file) as maps:
                 return {name: maps[name] for name in maps.files}
         except (OSError, ValueError, EOFError, BadZipFile) as error:
             raise UserError(path, f"cannot be read ({error})", "mend or remove it") from error
