@@ -79,7 +79,9 @@ def test_rows_stored_from_the_bottom_up_are_read(tmp_path):
     out = oiio.ImageOutput.create(str(path))
     pixels = np.ascontiguousarray(scene())
     assert out.open(str(path), spec) and out.write_image(pixels) and out.close()
-    assert open_zip_exr(path) is not None
+    reader = open_zip_exr(path)
+    assert reader is not None
+    reader.file.close()
     np.testing.assert_array_equal(read_linear(path, RadiometryConfig()).pixels, read_image(path))
 
 
