@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
+from numba import prange
 from numpy.typing import NDArray
 
 from pipeline.formats.backdrop import grown
 from pipeline.geometry.cameras import Camera
+from pipeline.kernels.compiling import kernel
 from stages.masks.background import BALL_MARGIN, Fixation, fixation
 from stages.masks.volume import Grid, Projections, pixel_of, stack_padded
 
@@ -68,10 +69,10 @@ def _grid(masks: list[NDArray[np.bool_]], cameras: list[Camera], ball: Fixation)
     return Grid(ball.centre - half, 2 * half / GRID, GRID)
 
 
-@numba.njit(parallel=True, cache=True)
+@kernel(parallel=True)
 def _count(solid, forward, sizes, low, step, against, culprit):
     n = against.shape[0]
-    for plane in numba.prange(n):
+    for plane in prange(n):
         z = low[2] + (plane + 0.5) * step
         for row in range(n):
             y = low[1] + (row + 0.5) * step
@@ -84,7 +85,7 @@ def _count(solid, forward, sizes, low, step, against, culprit):
                         culprit[plane, row, column] = v
 
 
-@numba.njit(cache=True)
+@kernel
 def _explain(solid, back, centres, sizes, low, step, against, culprit, excess, blame):
     n = against.shape[0]
     for v in range(solid.shape[0]):
