@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pipeline.capture.config import CaptureConfig, MosaicConfig
-from pipeline.capture.files import FLOAT_SUFFIXES, RAW_SUFFIXES, some
-from pipeline.capture.mosaic_signs import CARRIER_SHARE, carriers_seen
+from pipeline.capture.mosaic.sensor_files import CARRIER_SHARE, carriers_seen
+from pipeline.capture.naming.files import FLOAT_SUFFIXES, RAW_SUFFIXES, some
 from pipeline.errors import UserError
-from pipeline.images import channel_names, image_size, read_stored
+from pipeline.formats.images import channel_names, image_size, read_stored
 
 CLEARLY_NONE = CARRIER_SHARE / 4
 """Twice what textured photographs and grey pictures show at most; mosaics show 0.12 and more."""

@@ -12,9 +12,9 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from pipeline.capture.files import IMAGE_FOLDERS, RAW_SUFFIXES, some
+from pipeline.capture.naming.files import IMAGE_FOLDERS, RAW_SUFFIXES, some
 from pipeline.errors import UserError
-from pipeline.images import image_size
+from pipeline.formats.images import image_size
 
 KINDS: Mapping[str, str] = {
     "previews and thumbnails": "preview previews thumb thumbs thumbnail thumbnails proxy proxies contactsheet screenshot eadir",
