@@ -109,7 +109,8 @@ class Capture:
     """A capture folder, understood. `files` lists every input; nothing in it is ever written to.
 
     masks: mask file per view, "alpha" (the images carry it), or None. colmap: folder of an existing COLMAP model.
-    clean_plates: background photographs by physical camera or view, for masks by difference.
+    clean_plates: background photographs by physical camera or view, for masks by difference. parts: "train", "validation"
+    or "test" by VIEW where the capture's own tables divide the views.
     """
 
     root: Path
@@ -129,6 +130,7 @@ class Capture:
     warnings: tuple[str, ...] = ()
     facts: tuple[str, ...] = ()
     clean_plates: dict[str, Path] = field(default_factory=dict)
+    parts: dict[str, str] | None = None
 
     @property
     def camera_names(self) -> tuple[str, ...]:

@@ -26,6 +26,8 @@ UNREADABLE = {
 }
 MASK_FOLDERS = ("masks", "mask")
 IMAGE_FOLDERS = ("images", "images_full", "image", "raw", "photos")
+UNDISTORTED = frozenset({"dense", "undistorted"})
+"""Folders in which COLMAP writes undistorted images, with the model that belongs to them."""
 
 
 def list_images(folder: Path, suffixes: Iterable[str] = IMAGE_SUFFIXES) -> list[Path]:
@@ -55,10 +57,14 @@ def has_images(folder: Path, suffixes: Iterable[str] = IMAGE_SUFFIXES) -> bool:
 
 
 def image_folder(root: Path) -> Path:
-    """The folder that VIEW names are relative to: images/ or one of its common other names, else the root."""
+    """The folder that VIEW names are relative to: images/ or one of its common other names, dense/0/images, else the root."""
     for name in IMAGE_FOLDERS:
         if has_images(root / name):
             return root / name
+    places = [p for name in sorted(UNDISTORTED) for p in (root / name, *sorted((root / name).glob("*"))) if p.is_dir()]
+    workspaces = [p for p in places if has_images(p / "images")]
+    if workspaces:
+        return max(workspaces, key=lambda p: len(list_images(p / "images"))) / "images"
     return root
 
 
@@ -81,7 +87,7 @@ def find_environments(root: Path) -> tuple[Path, ...]:
     folder = root / "envmaps"
     if not folder.is_dir():
         return ()
-    return tuple(sorted(p for p in folder.iterdir() if p.suffix.lower() in FLOAT_SUFFIXES))
+    return tuple(sorted(p for p in folder.iterdir() if p.suffix.lower() in FLOAT_SUFFIXES and not p.name.startswith(".")))
 
 
 def find_masks(root: Path, views: Mapping[str, Path], folder: Path) -> tuple[dict[str, Path], list[str]]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -61,17 +61,20 @@ def left_out_line(paths: Iterable[Path], reason: str) -> str:
     return f"{listed[0].parent}: left out {some(p.name for p in listed)}: {reason}; {remedy}"
 
 
-def sort_out(paths: list[Path], folder: Path) -> Sorted:
-    """Views and strangers among the image files `paths` below `folder`, by name and, for copies, by size."""
+def sort_out(paths: list[Path], folder: Path, named_views: Collection[str] = ()) -> Sorted:
+    """Views and strangers among the image files `paths` below `folder`, by name and, for copies, by size.
+
+    named_views: stems of the images that a camera table names; these are views whatever they are called.
+    """
     left_out: dict[str, list[Path]] = defaultdict(list)
     kept = _without_twins(paths, left_out)
-    named = {path: word for path in kept if (word := telling_word(path, folder)) is not None}
+    named = {path: word for path in kept if path.stem not in named_views and (word := telling_word(path, folder)) is not None}
     plain = [path for path in kept if path not in named]
     if named and _stands_apart(named, plain):
         for path, word in named.items():
             left_out[WORDS[word]].append(path)
         kept = plain
-    kept = _without_copies(kept, left_out)
+    kept = _without_copies(kept, named_views, left_out)
     return Sorted(kept, {reason: tuple(sorted(found)) for reason, found in left_out.items()})
 
 
@@ -129,14 +132,14 @@ def _without_twins(paths: list[Path], left_out: dict[str, list[Path]]) -> list[P
     return kept
 
 
-def _without_copies(paths: list[Path], left_out: dict[str, list[Path]]) -> list[Path]:
+def _without_copies(paths: list[Path], named_views: Collection[str], left_out: dict[str, list[Path]]) -> list[Path]:
     """The files less smaller pictures that have another's name with a word added (IMG_1_small.jpg, IMG_1-web.jpg)."""
     stems = {(p.parent, p.stem): p for p in paths}
     kept = []
     for path in paths:
         match = re.match(r"^(.+?)[_\-. ](?:[a-zA-Z]+|\d+x\d+)$", path.stem)
         whole = stems.get((path.parent, match.group(1))) if match else None
-        if whole is not None and _much_smaller(path, whole):
+        if whole is not None and path.stem not in named_views and _much_smaller(path, whole):
             left_out["smaller copies of other pictures"].append(path)
         else:
             kept.append(path)
