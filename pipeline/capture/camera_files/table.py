@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 
@@ -90,7 +90,7 @@ def stem_parts(name: str) -> tuple[str, ...]:
     return tuple(p for p in path.parts if p not in ("/", ".", ".."))
 
 
-def entries_of(names: Sequence[str], paths: dict[str, Iterable[Path]] | dict[str, tuple[Path, ...]], folder: Path) -> dict[str, int]:
+def entries_of(names: Sequence[str], paths: Mapping[str, Iterable[Path]], folder: Path) -> dict[str, int]:
     """Which entry of `names` each view's files are: by the longest common end of the path; an entry serves one view.
 
     A name that fits several entries equally well fits none.

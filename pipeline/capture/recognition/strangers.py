@@ -10,6 +10,7 @@ import re
 from collections import defaultdict
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 from pipeline.capture.naming.files import IMAGE_FOLDERS, RAW_SUFFIXES, some
@@ -82,7 +83,7 @@ def words_of(name: str) -> list[str]:
     """The words of a name, lower case: runs of letters, their camelCase parts, neighbours joined (dark_frame), S0 to S2."""
     runs = re.findall(r"[^\W\d_]+", name)
     parts = [part for run in runs for part in re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])", run)]
-    joined = [a + b for a, b in zip(runs, runs[1:])]
+    joined = [a + b for a, b in pairwise(runs)]
     stokes = re.findall(r"(?:^|[^a-zA-Z])([sS][012])(?![\da-zA-Z])", name)
     return [word.lower() for word in (*runs, *parts, *joined, *stokes)]
 
