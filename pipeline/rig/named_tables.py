@@ -47,7 +47,7 @@ def read_directions(path: Path) -> LightTable:
         if len(values) != len(table):
             raise UserError(intensities, f"has {len(values)} lines, {path.name} {len(table)}", "give each light one line")
         if values.min() <= 0:
-            raise UserError(intensities, "a light's intensity is not above 0", "take lights that did not fire out of both tables")
+            raise UserError(intensities, "a light's intensity is not above 0", "take dead lights out of both tables")
         table = replace(table, intensity=values / values.mean())
     if names.is_file():
         listed = [line.strip() for line in names.read_text(errors="replace").splitlines() if line.strip()]

@@ -10,7 +10,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from pipeline.capture.camera_files.table import entries_of, stem_parts
-from pipeline.capture.naming.files import IMAGE_SUFFIXES, UNREADABLE, image_folder, list_images
+from pipeline.capture.naming.files import IMAGE_SUFFIXES, image_folder, list_images
 from pipeline.capture.recognition.strangers import sort_out
 from pipeline.errors import UserError
 
@@ -57,7 +57,7 @@ def _in_folder(folder: Path) -> list[Path]:
     return [folder / name for name in PARTS if (folder / name).exists()]
 
 
-def load_frames(root: Path, files: list[Path]) -> list[NerfFrame]:
+def load_frames(files: list[Path]) -> list[NerfFrame]:
     """Every frame of the tables with the file that it means. Raises UserError on a table that is damaged."""
     frames = []
     for where in files:
@@ -66,7 +66,7 @@ def load_frames(root: Path, files: list[Path]) -> list[NerfFrame]:
         for told in table["frames"]:
             frames.append(NerfFrame(told, table, where, _as_told(where.parent, told["file_path"]), parts(told["file_path"])))
     if not any(f.path.is_file() for f in frames):
-        frames = _by_name(root, files[0].parent, frames)
+        frames = _by_name(files[0].parent, frames)
     return frames
 
 
@@ -107,20 +107,14 @@ def existing(path: Path) -> Path:
     return next((q for q in (path.with_name(path.name + s) for s in sorted(IMAGE_SUFFIXES)) if q.is_file()), path)
 
 
-def _by_name(root: Path, base: Path, frames: list[NerfFrame]) -> list[NerfFrame]:
+def _by_name(base: Path, frames: list[NerfFrame]) -> list[NerfFrame]:
     """Frames whose paths are another machine's (or another folder's), matched with the capture's images by name."""
-    for frame in frames:
-        if frame.path.suffix.lower() in UNREADABLE:
-            raise UserError(frame.path, "cannot be read", UNREADABLE[frame.path.suffix.lower()])
-    place = base if base != root else root
-    folder = image_folder(place)
+    folder = image_folder(base)
     images = sort_out(list_images(folder), folder).kept
     names = [f.told["file_path"] for f in frames]
     found = entries_of(names, {p.as_posix(): (p,) for p in images}, folder)
     by_entry = {index: Path(name) for name, index in found.items()}
-    return [
-        NerfFrame(f.told, f.table, f.where, by_entry.get(i, f.path), f.part) for i, f in enumerate(frames)
-    ]
+    return [NerfFrame(f.told, f.table, f.where, by_entry.get(i, f.path), f.part) for i, f in enumerate(frames)]
 
 
 def load_table(path: Path) -> dict[str, Any]:

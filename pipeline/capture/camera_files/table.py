@@ -44,9 +44,7 @@ class CameraTable:
         return bool(entries_of(self.names, {group.view: group.paths}, folder))
 
 
-def cameras_of_views(
-    table: CameraTable, views: Sequence[ViewSource], folder: Path
-) -> tuple[dict[str, Camera], list[str]]:
+def cameras_of_views(table: CameraTable, views: Sequence[ViewSource], folder: Path) -> tuple[dict[str, Camera], list[str]]:
     """Cameras by VIEW, and warnings for views without a camera and cameras without an image. Raises UserError."""
     if table.names is None:
         entry = entries_in_order(table, [v.view for v in views])

@@ -28,7 +28,8 @@ def recognise(root: Path) -> bool:
     if any(c.plain for c in cameras):
         return True
     views = any((root / name).exists() for name in ("transforms.json", "sparse"))
-    return bool(cameras) and not views and (table_beside(root) is not None or any(camera_file(root, c.name).is_file() for c in cameras))
+    files = any(camera_file(root, c.name).is_file() for c in cameras)
+    return bool(cameras) and not views and (files or table_beside(root) is not None)
 
 
 def read(root: Path, config: CaptureConfig) -> Capture:
@@ -37,9 +38,8 @@ def read(root: Path, config: CaptureConfig) -> Capture:
 
     lights, tables = read_light_table(root, config)
     passes: dict[str, PassFrames] = {}
-    cameras = {
-        name: _camera(root, folders, lights, tables[-1], config, passes) for name, folders in sorted(stage_folders(root).items())
-    }
+    folders = sorted(stage_folders(root).items())
+    cameras = {name: _camera(root, found, lights, tables[-1], config, passes) for name, found in folders}
     files = [*tables, *(camera_file(root, name) for name in cameras)]
     for camera in cameras.values():
         files += [*camera.cross, *camera.parallel, *([camera.mask] if camera.mask else [])]
@@ -95,7 +95,8 @@ def _camera(
 
 def _mask(root: Path, folders: CameraFolders) -> Path | None:
     """mask.png (or .exr, .jpg) beside the passes, or masks/CAMERA.png."""
-    beside = [p for p in sorted(folders.home.iterdir()) if p.is_file() and p.name.lower() in ("mask.png", "mask.exr", "mask.jpg")]
+    names = ("mask.png", "mask.exr", "mask.jpg")
+    beside = [p for p in sorted(folders.home.iterdir()) if p.is_file() and p.name.lower() in names]
     named = [root / "masks" / f"{name}.png" for name in (folders.name, folders.home.name)]
     return next((p for p in (*beside, *named) if p.is_file()), None)
 

@@ -42,4 +42,6 @@ def _pass_in(stem: str) -> str | None:
     return next((which for word in stem.replace("-", "_").split("_") if (which := pass_of(word))), None)
 
 
-LAYOUT = Layout("one_light_a_picture", "a light table (lights.csv, NAME.lp, light_directions.txt) beside pictures", recognise, read)
+LAYOUT = Layout(
+    "one_light_a_picture", "a light table (lights.csv, NAME.lp, light_directions.txt) beside pictures", recognise, read
+)

@@ -8,13 +8,14 @@ from typing import Literal
 
 from pipeline.capture.assembly.assemble import PLATES, Pictures, assemble, folder_camera, outside_images
 from pipeline.capture.assembly.camera_source import camera_table
-from pipeline.capture.assembly.sources import discover
+from pipeline.capture.assembly.sources import Sources, discover
 from pipeline.capture.camera_files.table import stem_parts
 from pipeline.capture.config import CaptureConfig
 from pipeline.capture.layouts import Layout
 from pipeline.capture.model import Capture
 from pipeline.capture.naming.files import IMAGE_SUFFIXES, UNREADABLE, count, has_images, image_folder, list_images, some
 from pipeline.capture.naming.grouping import Group
+from pipeline.capture.recognition.one_framing import one_framing
 from pipeline.capture.recognition.strangers import sort_out
 from pipeline.errors import UserError
 
@@ -27,7 +28,7 @@ def loose_images(root: Path) -> list[Path]:
     """Image files that lie in the capture's folder itself."""
     wanted = set(IMAGE_SUFFIXES) | set(UNREADABLE)
     return sorted(
-        p for p in root.iterdir() if p.is_file() and p.suffix.lower() in wanted and not p.stem.startswith("clean_plate")
+        p for p in root.iterdir() if p.suffix.lower() in wanted and not p.name.startswith((".", "clean_plate")) and p.is_file()
     )
 
 
@@ -69,6 +70,8 @@ def read_as(root: Path, config: CaptureConfig, layout: str, kind: str) -> Captur
 
     named = None if table is None else (lambda group: table.named(group, folder))
     sources = discover(found.paths, folder, config, camera_of, kind, named)
+    if table is None and config.layout is None and not config.polarisers:
+        _refuse_one_framing(sources, folder)
     polarisation: Literal["stokes", "polarisers", "none"]
     polarisation = "stokes" if sources.holds_stokes else "polarisers" if config.polarisers else "none"
     capture = assemble(root, layout, config, folder, sources.views, polarisation, facts=sources.facts, table=table, look=False)
@@ -77,6 +80,18 @@ def read_as(root: Path, config: CaptureConfig, layout: str, kind: str) -> Captur
         names = f"{count(sources.unnamed, 'view')} ({some(p.name for p in sources.unnamed)})"
         warnings.append(f"{table.path}: no camera for {names}; left out")
     return replace(capture, warnings=tuple(warnings))
+
+
+def _refuse_one_framing(sources: Sources, folder: Path) -> None:
+    """Pictures of one framing under changing light are no views: cameras would be looked for in vain."""
+    pictures_ = [group.paths[0] for group in sources.groups]
+    if one_framing(pictures_):
+        fault = f"its {len(pictures_)} pictures show one framing under changing light: lights of a light stage, no views"
+        remedy = (
+            "a light stage needs camNN/cross and camNN/parallel frames, cameras/cameraNN.txt and a light table "
+            '(docs/light_stage.md); if they are views, say layout = "photographs" in capture.toml'
+        )
+        raise UserError(folder, fault, remedy)
 
 
 LAYOUT = Layout("photographs", "images/ with photographs or camera raw files, a COLMAP model if there is one", recognise, read)

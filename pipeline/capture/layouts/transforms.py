@@ -46,7 +46,7 @@ def read(root: Path, config: CaptureConfig) -> Capture:
     if not files:
         several = ", ".join(f"{p.name}/" for p in captures_below(root))
         raise UserError(root, f"holds several captures ({several})", "give one of these folders as CAPTURE=")
-    frames = load_frames(root, files)
+    frames = load_frames(files)
     where = files[0]
     folder, paths, warnings = pictures_of(root, frames)
     frame_of = frames_by_view(folder, frames)
@@ -99,7 +99,8 @@ def read(root: Path, config: CaptureConfig) -> Capture:
     environments = find_environments(root)
     alpha = not masks and all_have_alpha([v.paths[0] for v in views])
     name = {"stokes_files": "stokes_transforms", "colour": f"{'polarisers' if told else 'rgb'}_transforms"}
-    facts = sources.facts if files == [root / FILE] else (*sources.facts, "cameras: " + ", ".join(_below(p, root) for p in files))
+    told_by = "cameras: " + ", ".join(_below(p, root) for p in files)
+    facts = sources.facts if files == [root / FILE] else (*sources.facts, told_by)
     return Capture(
         root, name.get(sources.kind, f"{sources.kind}_transforms"), "multiview", kind, sorted_views(views),
         environments=environments, config=config, up=config.up or "y", cameras=cameras, parts=held_out(parts),
@@ -119,7 +120,7 @@ def pictures_of(root: Path, frames: list[NerfFrame]) -> tuple[Path, list[Path], 
     Nothing is listed outside the capture: of a folder elsewhere only the files that frames name are read.
     """
     for frame in frames:
-        if frame.path.suffix.lower() in UNREADABLE and not frame.path.is_file():
+        if frame.path.suffix.lower() in UNREADABLE and frame.path.is_file():
             raise UserError(frame.path, "cannot be read", UNREADABLE[frame.path.suffix.lower()])
     folder = common_folder(root, [f.path for f in frames])
     there = [p for p in dict.fromkeys(f.path for f in frames) if p.is_file()]

@@ -69,9 +69,7 @@ def frame_offset(index: NDArray[np.int64], numbers: Sequence[int], folder: Path,
         count = high - base + 1
         if first == 0 and last == count - 1:
             sure.add(-base)
-        elif first == 0 and last == count + 2 * LEADING_FRAMES - 1:
-            sure.add(LEADING_FRAMES - base)
-        elif first == LEADING_FRAMES and last == count + LEADING_FRAMES - 1:
+        elif (first, last) in ((0, count + 2 * LEADING_FRAMES - 1), (LEADING_FRAMES, count + LEADING_FRAMES - 1)):
             sure.add(LEADING_FRAMES - base)
         elif first == 1 and last == count:
             sure.add(1 - base)

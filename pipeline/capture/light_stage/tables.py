@@ -30,7 +30,8 @@ def _is_lp(path: Path) -> bool:
 
 
 def _subfolders(root: Path) -> list[Path]:
-    return [p for p in sorted(root.iterdir()) if p.is_dir() and not p.name.startswith(".") and p.name.lower() not in ("gt", "envmaps")]
+    places = (p for p in sorted(root.iterdir()) if p.is_dir() and not p.name.startswith("."))
+    return [p for p in places if p.name.lower() not in ("gt", "envmaps")]
 
 
 def read_light_table(root: Path, config: CaptureConfig) -> tuple[LightTable, list[Path]]:

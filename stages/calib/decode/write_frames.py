@@ -64,7 +64,7 @@ def decode_views(stage: StageRun) -> None:
                 future.cancel()
             raise
     _tell(stage, records)
-    table = {
+    table: dict[str, Any] = {
         "schema": 1,
         "polarisation": capture.polarisation,
         "views": {view: records[view].facts for view in sorted(records)},
