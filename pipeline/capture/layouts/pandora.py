@@ -28,9 +28,7 @@ RADIANCE = np.float32(0.5)
 
 def recognise(root: Path) -> bool:
     folder = root / FOLDER
-    return folder.is_dir() and any(
-        p.stem.endswith("_s0") and not p.name.startswith(".") and p.suffix.lower() in FLOAT_SUFFIXES for p in folder.iterdir()
-    )
+    return folder.is_dir() and any(p.suffix.lower() in FLOAT_SUFFIXES for p in folder.glob("[!.]*_s0.*"))
 
 
 def read(root: Path, config: CaptureConfig) -> Capture:

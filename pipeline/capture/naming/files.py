@@ -28,10 +28,7 @@ FORMATS = {
     ".heif": "HEIF photographs are tone-mapped; export 16-bit TIFF or shoot DNG",
     **dict.fromkeys((".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v", ".mts"), VIDEO),
     **{s: f"{s[1:].upper()} {TONE_MAPPED}" for s in (".webp", ".avif", ".jxl", ".gif")},
-    **{
-        s: f"{s[1:].upper()} {REWRITE}"
-        for s in (".bmp", ".tga", ".pgm", ".ppm", ".pnm", ".pfm", ".jp2", ".j2k", ".psd", ".dpx")
-    },
+    **{s: f"{s[1:].upper()} {REWRITE}" for s in (".bmp", ".tga", ".pgm", ".ppm", ".pnm", ".pfm", ".jp2", ".psd", ".dpx")},
 }
 UNREADABLE = {suffix: way for suffix, way in FORMATS.items() if suffix not in IMAGE_SUFFIXES}
 """Kinds of pictures that nobody here reads, with the way out of each."""

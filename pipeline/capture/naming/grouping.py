@@ -206,6 +206,8 @@ def _plausible(split: Mapping[str, tuple[str, float]]) -> bool:
     for view, angle in split.values():
         by_view[view].append(angle)
     sets = {frozenset(angles) for angles in by_view.values()}
+    if not sets:
+        return False
     most = max(sets, key=lambda s: sum(frozenset(a) == s for a in by_view.values()))
     if any(len(set(a)) != len(a) for a in by_view.values()) or len(most) < 3 or max(most) > 180:
         return False

@@ -35,6 +35,8 @@ def mosaic_set(paths: Sequence[Path], config: CaptureConfig) -> MosaicSet | None
     A `[mosaic]` table says so of any kind of file. Raises UserError where it misses some, or where the set is mixed.
     """
     told = config.mosaic != MosaicConfig()
+    if not paths:
+        return None
     kinds: dict[tuple[str, int], list[Path]] = defaultdict(list)
     for path in paths:
         kinds[_kind(path)].append(path)
@@ -45,7 +47,7 @@ def mosaic_set(paths: Sequence[Path], config: CaptureConfig) -> MosaicSet | None
             names = f"{len(missed)} of {len(paths)} images ({some(p.name for p in missed)})"
             fault = f"[mosaic] is told, but {names} have channels that differ: they hold no mosaic"
             raise UserError(config.path or "capture.toml", fault, "give the sensor's single-channel files, or drop the table")
-        return MosaicSet(tuple(paths), ()) if paths else None
+        return MosaicSet(tuple(paths), ())
     mosaics = [p for files in found.values() if carriers_seen(files, config) > CARRIER_SHARE for p in _carrying(files, config)]
     others = sorted(set(paths) - set(mosaics))
     if len(mosaics) * 4 < len(paths):

@@ -99,7 +99,7 @@ def _gain_over_shift(pictures: Plane, mean: Plane, changes: NDArray[np.bool_]) -
     side = 8 if max(mean.shape) >= 96 else 4
     down, along = np.gradient(_smoothed(mean))
     whole = _blocks(changes.astype(float), side).mean(1) > 0.9
-    base, dy, dx = (_blocks(a, side)[whole] for a in (mean, down, along))
+    base, dy, dx = (_blocks(np.asarray(a, np.float64), side)[whole] for a in (mean, down, along))
     if not whole.any():
         return np.inf, 0
     xx, xy, yy = (dx * dx).sum(1), (dx * dy).sum(1), (dy * dy).sum(1)

@@ -106,14 +106,19 @@ def _stands_apart(named: Mapping[Path, str], plain: list[Path]) -> bool:
     limit = FEW * len(plain) if all(word in WEAK for word in named.values()) else len(plain)
     if len(named) < limit:
         return True
-    numbers = {_number(p.stem) for p in plain}
-    return all(_number(path.stem) in numbers or any(path.stem.startswith(p.stem) for p in plain) for path in named)
+    stems = {_joined(p.stem) for p in plain}
+    return all(_of_a_view(path.stem, word, stems) for path, word in named.items())
 
 
-def _number(stem: str) -> str:
-    """The first number of a name, which product files share with their view."""
-    found = re.search(r"\d+", stem)
-    return found.group() if found else stem
+def _joined(stem: str) -> str:
+    """A name with one kind of separator, and none at its ends."""
+    return re.sub(r"[\W_]+", "_", stem.lower()).strip("_")
+
+
+def _of_a_view(stem: str, word: str, views: Collection[str]) -> bool:
+    """Whether a name, the telling word taken out, begins the name of a view (000_dolp: 000, or 000_045 of a stack)."""
+    rest = _joined(re.sub(re.escape(word), "", stem, count=1, flags=re.IGNORECASE))
+    return bool(rest) and any(view == rest or view.startswith(rest + "_") for view in views)
 
 
 def _without_twins(paths: list[Path], left_out: dict[str, list[Path]]) -> list[Path]:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Iterable
 
 from pipeline.capture.config import MosaicConfig, OlatConfig, StackConfig
 from pipeline.capture.model import Capture
 from pipeline.capture.naming.files import some
-from pipeline.errors import UserError, nearest
+from pipeline.errors import UserError
 
 
 def refuse_idle_tables(capture: Capture) -> None:
@@ -19,12 +20,12 @@ def refuse_idle_tables(capture: Capture) -> None:
     unknown = [key for key in config.radiometry.exposure_s if key not in names]
     if unknown:
         raise UserError(
-            config.path, f"radiometry.exposure_s: no view or file is called {some(unknown)}", nearest(unknown[0], _some(names))
+            config.path, f"radiometry.exposure_s: no view or file is called {some(unknown)}", _nearest(unknown[0], names)
         )
     views = {v.view for v in capture.views}
     pair = [name for name in config.poses.scale_pair or () if name not in views]
     if pair:
-        raise UserError(config.path, f"poses.scale_pair: there is no view {some(pair)}", nearest(pair[0], sorted(views)))
+        raise UserError(config.path, f"poses.scale_pair: there is no view {some(pair)}", _nearest(pair[0], views))
     if config.mosaic != MosaicConfig() and not _fact(capture, "polariser mosaic"):
         fault = f"[mosaic] is told, but the images were understood as {_kind(capture)}"
         raise UserError(config.path, fault, "give the sensor's single-channel files, or take the table out")
@@ -61,8 +62,10 @@ def _names(capture: Capture) -> set[str]:
     return out
 
 
-def _some(names: Iterable[str]) -> list[str]:
-    return sorted(names)[:200]
+def _nearest(name: str, names: Iterable[str]) -> str:
+    """A remedy for a name that nothing has: the nearest ones, else the first few."""
+    near = difflib.get_close_matches(name, sorted(names), 1)
+    return f"did you mean {near[0]}?" if near else f"the names are {some(sorted(names))}"
 
 
 def _fact(capture: Capture, begins: str) -> bool:
