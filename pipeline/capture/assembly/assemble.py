@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 from pipeline.capture.assembly.camera_source import camera_table
-from pipeline.capture.assembly.sources import Sources
 from pipeline.capture.camera_files.table import CameraTable, cameras_of_views
 from pipeline.capture.config import CaptureConfig
 from pipeline.capture.model import Capture, ViewSource
@@ -104,11 +103,6 @@ def find_plates(root: Path, config: CaptureConfig, views: tuple[ViewSource, ...]
         if plate is not None:
             plates[view.view] = plate
     return plates, tuple(sorted(set(plates.values())))
-
-
-def with_camera_names(sources: Sources, names: Mapping[str, str]) -> tuple[ViewSource, ...]:
-    """Views with the physical camera that `names` gives them."""
-    return tuple(replace(v, camera=names.get(v.view, v.camera)) for v in sources.views)
 
 
 def folder_camera(paths: tuple[Path, ...], folder: Path, config: CaptureConfig) -> str:

@@ -12,7 +12,7 @@ from pipeline.capture.config import CaptureConfig
 from pipeline.capture.naming.files import RAW_SUFFIXES
 from pipeline.capture.naming.grouping import Group, group_files
 from pipeline.capture.pixels.brackets import read_exposures
-from pipeline.capture.pixels.linear import LinearImage
+from pipeline.capture.pixels.linear_image import LinearImage
 from pipeline.errors import UserError
 
 
