@@ -140,6 +140,15 @@ def test_the_cameras_own_jpegs_of_raw_files_are_left_out(tmp_path):
         assert "IMG_0.JPG" in found.warnings()[0] and "raw files" in found.warnings()[0]
 
 
+def test_raw_files_in_a_folder_of_their_own_are_named(pictures, tmp_path):
+    photographs(tmp_path, pictures, "images/IMG_{i}.jpg")
+    for i in range(VIEWS):
+        (tmp_path / "raw").mkdir(exist_ok=True)
+        (tmp_path / f"raw/IMG_{i}.DNG").write_bytes(b"x")
+    capture = open_capture(tmp_path)
+    assert len(capture.views) == VIEWS and "raw: 4 camera raw files" in said(capture)
+
+
 def test_smaller_copies_are_left_out_and_other_views_are_not(pictures, tmp_path):
     photographs(tmp_path, pictures, "images/IMG_{i}.png")
     colour = ball.codes(pictures[0][0])

@@ -193,6 +193,16 @@ def test_one_framing_under_changing_light_is_refused(count, ambient, name, tmp_p
     assert len(open_capture(tmp_path).views) == count
 
 
+def test_one_framing_a_folder_is_refused_too(tmp_path):
+    """Passes without a light table, or cameras of a dome: each folder has a framing of its own."""
+    lit_from_around(tmp_path, 8, "left/{:03d}.png")
+    for k in range(8):
+        pixels = read_image(tmp_path / f"left/{k:03d}.png")
+        ball.write(tmp_path / f"right/{k:03d}.png", ball.codes(pixels[:, ::-1]))
+    with pytest.raises(UserError, match="one framing"):
+        open_capture(tmp_path)
+
+
 def test_an_ambient_picture_among_them_does_not_hide_it(tmp_path):
     lit_from_around(tmp_path, 8, "image{}.png")
     camera = ball.ring(1, 96)[0]

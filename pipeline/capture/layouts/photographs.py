@@ -13,9 +13,18 @@ from pipeline.capture.camera_files.table import stem_parts
 from pipeline.capture.config import CaptureConfig
 from pipeline.capture.layouts import Layout
 from pipeline.capture.model import Capture
-from pipeline.capture.naming.files import IMAGE_SUFFIXES, UNREADABLE, count, has_images, image_folder, list_images, some
+from pipeline.capture.naming.files import (
+    IMAGE_SUFFIXES,
+    RAW_SUFFIXES,
+    UNREADABLE,
+    count,
+    has_images,
+    image_folder,
+    list_images,
+    some,
+)
 from pipeline.capture.naming.grouping import Group
-from pipeline.capture.recognition.one_framing import one_framing
+from pipeline.capture.recognition.one_framing import changes_light
 from pipeline.capture.recognition.strangers import sort_out
 from pipeline.errors import UserError
 
@@ -47,7 +56,19 @@ def pictures(root: Path, config: CaptureConfig) -> Pictures:
     table, told = camera_table(root, folder)
     stems = {stem_parts(name)[-1] for name in table.names if stem_parts(name)} if table is not None and table.names else set()
     chosen = sort_out(found, folder, stems)
-    return Pictures(folder, chosen.kept, table, (*chosen.warnings(), *told))
+    return Pictures(folder, chosen.kept, table, (*chosen.warnings(), *told, *_raw_twins(root, folder, chosen.kept)))
+
+
+def _raw_twins(root: Path, folder: Path, kept: list[Path]) -> list[str]:
+    """A line where the camera's raw files lie in another folder than the pictures that are used."""
+    other = root / "raw"
+    if other == folder or not other.is_dir() or any(p.suffix.lower() in RAW_SUFFIXES for p in kept):
+        return []
+    stems = {p.stem.lower() for p in list_images(other, RAW_SUFFIXES)} & {p.stem.lower() for p in kept}
+    if not stems:
+        return []
+    told = f"{other}: {count(stems, 'camera raw file')} of the pictures in {folder.name}/ are not used"
+    return [f"{told}; for linear light move them into {folder.name}/ (their JPEGs are then left out)"]
 
 
 def _aside(path: Path, root: Path) -> bool:
@@ -85,7 +106,7 @@ def read_as(root: Path, config: CaptureConfig, layout: str, kind: str) -> Captur
 def _refuse_one_framing(sources: Sources, folder: Path) -> None:
     """Pictures of one framing under changing light are no views: cameras would be looked for in vain."""
     pictures_ = [group.paths[0] for group in sources.groups]
-    if one_framing(pictures_):
+    if changes_light(pictures_):
         fault = f"its {len(pictures_)} pictures show one framing under changing light: lights of a light stage, no views"
         remedy = (
             "a light stage needs camNN/cross and camNN/parallel frames, cameras/cameraNN.txt and a light table "

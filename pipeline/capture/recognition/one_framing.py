@@ -9,6 +9,7 @@ keeps the framing too, but changes light by less or everywhere alike.
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -58,6 +59,15 @@ class Framing:
         """Whether they are one framing under changing light."""
         sure = self.blocks >= FEWEST_BLOCKS and self.strength >= STRONG
         return sure and self.explained >= EXPLAINED and self.in_place <= IN_PLACE
+
+
+def changes_light(paths: Sequence[Path]) -> bool:
+    """Whether the pictures show one framing, or one a folder (a camera's, a pass's), under changing light."""
+    folders: dict[Path, list[Path]] = defaultdict(list)
+    for path in paths:
+        folders[path.parent].append(path)
+    largest = sorted(folders.values(), key=len, reverse=True)[:2]
+    return one_framing(paths) or (len(folders) > 1 and all(one_framing(found) for found in largest))
 
 
 def one_framing(paths: Sequence[Path]) -> bool:
