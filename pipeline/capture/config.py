@@ -79,9 +79,10 @@ class StackConfig:
 
 @dataclass(frozen=True)
 class OlatConfig:
-    """Light-stage facts (see docs/captures.md)."""
+    """Light-stage facts (see docs/light_stage.md). `first_frame`: the number of the frame of the light with index 0."""
 
     lights: str | None = None
+    first_frame: int | None = None
     irradiance: float = 3.141592653589793
     near_light: bool = False
     distortion: bool = False

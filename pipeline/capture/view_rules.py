@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 MIN_TRAINING_VIEWS = 8
 """Fewer views around an object determine no model of it."""
 TEST_EVERY = 8
-"""Every how many-th view, in sorted order and from the first, is held back to test the model (as in Mip-NeRF 360)."""
+"""Every how many-th view, in sorted order and from the first, is held back to test the model, unless the capture's tables say."""
 
 
 def too_few_views(capture: Capture) -> str | None:
@@ -22,6 +22,8 @@ def too_few_views(capture: Capture) -> str | None:
     return f"too few views for a model: {count}, at least {MIN_TRAINING_VIEWS} are needed"
 
 
-def held_back(names: Iterable[str]) -> frozenset[str]:
-    """Which of the views are held back from training."""
-    return frozenset(sorted(names)[::TEST_EVERY])
+def held_back(names: Iterable[str], parts: Mapping[str, str] | None = None) -> dict[str, str]:
+    """Views that do not train, by name: "test" or "validation", as the capture's own tables say (`parts`), else TEST_EVERY."""
+    if parts:
+        return {name: part for name in names if (part := parts.get(name, "train")) != "train"}
+    return dict.fromkeys(sorted(names)[::TEST_EVERY], "test")

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pipeline.errors import UserError
 from pipeline.formats.images import XYZ, read_image
 
-FOLDER = "gt"
+FOLDER, MAPS = "gt", "maps.npz"
 
 
 @dataclass(frozen=True)
@@ -72,20 +72,21 @@ class Truth:
         table = self.document("gt_lp.json")
         return None if table is None else {f"lp{i}": float(a) for i, a in enumerate(table["true_angles_deg"])}
 
-    def camera_maps(self, camera: str) -> dict[str, NDArray] | None:
-        """A light-stage camera's true maps (normal, albedo, mask, ...) by name, None where there are none. Raises UserError."""
-        path = self.root / camera / FOLDER / "maps.npz"
-        if not path.is_file():
-            return None
-        try:
-            with path.open("rb") as file, np.load(file) as maps:
-                return {name: maps[name] for name in maps.files}
-        except (OSError, ValueError, EOFError, BadZipFile) as error:
-            raise UserError(path, f"cannot be read ({error})", "mend or remove it") from error
-
     def files(self) -> list[Path]:
         """Every file of ground truth."""
         root = self.root
-        loose = [root / "gt_brdf.json", root / "gt_lp.json", *sorted(root.glob(f"cam[0-9]*/{FOLDER}/maps.npz"))]
+        loose = [root / "gt_brdf.json", root / "gt_lp.json", *sorted(root.glob(f"*/{FOLDER}/{MAPS}"))]
         folder = sorted(p for p in (root / FOLDER).rglob("*") if p.is_file()) if (root / FOLDER).is_dir() else []
         return [p for p in loose if p.is_file()] + folder
+
+
+def camera_maps(camera: Path) -> dict[str, NDArray] | None:
+    """The true maps (normal, albedo, mask, ...) in a light-stage camera's folder, None without any. Raises UserError."""
+    path = camera / FOLDER / MAPS
+    if not path.is_file():
+        return None
+    try:
+        with path.open("rb") as file, np.load(file) as maps:
+            return {name: maps[name] for name in maps.files}
+    except (OSError, ValueError, EOFError, BadZipFile) as error:
+        raise UserError(path, f"cannot be read ({error})", "mend or remove it") from error

@@ -197,14 +197,14 @@ def scene_of(capture: Capture) -> dict[str, Any]:
     middle = centres.mean(0) if middle is None else middle
     everything = np.concatenate([centres, lights]) - middle
     radius = float(np.linalg.norm(everything, axis=1).max()) or 1.0
-    tested, out = held_back(cameras), []
+    tested, out = held_back(cameras, capture.parts), []
     for name in sorted(cameras):
         c = cameras[name]
         corners = np.array([(0, 0), (c.width, 0), (c.width, c.height), (0, c.height)], float)
         local = np.concatenate([(corners - (c.cx, c.cy)) / (c.fx, c.fy), np.ones((4, 1))], 1)
         local *= 0.16 / np.linalg.norm(local[0])
         points = (c.centre - middle) / radius + local @ c.world_to_camera[:3, :3]
-        test = capture.light_stage is None and name in tested
+        test = capture.light_stage is None and tested.get(name) == "test"
         out.append(
             {
                 "name": name,

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.capture.light_stage.folders import home_of
 from pipeline.formats import dataset_files as files
-from pipeline.formats.ground_truth import Truth
+from pipeline.formats.ground_truth import Truth, camera_maps
 from pipeline.formats.images import RGB, XYZ, read_exr, read_image
 
 from .image_figures import angle_deg, erode
@@ -51,7 +52,7 @@ def _camera(folder: Path, ground_truth: Truth) -> Table:
     flag, sigma = residual["flag"], read_image(files.camera_map(folder, "sigma"), ("X", "Y"))
     specular = read_image(files.camera_map(folder, "specular_albedo"), ("Y",))[..., 0]
     fitted = np.linalg.norm(read_image(files.camera_map(folder, "normal"), XYZ), axis=-1) > 0.5
-    truth = ground_truth.camera_maps(folder.name)
+    truth = camera_maps(home_of(ground_truth.root, folder.name))
     inside = fitted if truth is None else erode(truth["mask"] > 0.5, RIM)
     part.figures["pixels"] = int((fitted if truth is None else truth["mask"] > 0.5).sum())
     if not inside.any():

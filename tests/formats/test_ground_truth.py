@@ -9,7 +9,7 @@ import pytest
 
 from pipeline.capture.view_rules import MIN_TRAINING_VIEWS, held_back, too_few_views
 from pipeline.errors import UserError
-from pipeline.formats.ground_truth import Truth
+from pipeline.formats.ground_truth import Truth, camera_maps
 from pipeline.formats.images import write_exr
 
 
@@ -48,13 +48,18 @@ def test_every_file_of_ground_truth_is_listed_and_nothing_else(tmp_path: Path) -
     for damaged in (b"{}", b"", b"PK\x03\x04 cut off"):
         (tmp_path / "cam00/gt/maps.npz").write_bytes(damaged)
         with pytest.raises(UserError, match=r"maps\.npz: cannot be read"):
-            truth.camera_maps("cam00")
-    assert truth.camera_maps("cam01") is None
+            camera_maps(tmp_path / "cam00")
+    assert camera_maps(tmp_path / "cam01") is None
 
 
 def test_every_eighth_view_in_sorted_order_is_held_back() -> None:
     names = [f"v{k:02d}" for k in range(20)]
-    assert held_back(reversed(names)) == {"v00", "v08", "v16"}
+    assert held_back(reversed(names)) == {"v00": "test", "v08": "test", "v16": "test"}
+
+
+def test_a_captures_own_split_goes_before_the_rule() -> None:
+    parts = {"a": "train", "b": "validation", "c": "test"}
+    assert held_back(["a", "b", "c", "d"], parts) == {"b": "validation", "c": "test"}
 
 
 def test_too_few_views_are_told_with_both_numbers() -> None:

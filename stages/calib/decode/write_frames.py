@@ -65,11 +65,13 @@ def decode_views(stage: StageRun) -> None:
                 future.cancel()
             raise
     _tell(stage, records)
-    table = {
+    table: dict[str, Any] = {
         "schema": 1,
         "polarisation": capture.polarisation,
         "views": {view: records[view].facts for view in sorted(records)},
     }
+    if capture.parts is not None:
+        table["parts"] = capture.parts
     (output / FRAMES).write_text(json.dumps(table, indent=1) + "\n", encoding="utf-8")
 
 

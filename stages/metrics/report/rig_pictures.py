@@ -8,8 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.capture.light_stage.folders import home_of
 from pipeline.engine.stage import StageRun
 from pipeline.formats import dataset_files as files
+from pipeline.formats.ground_truth import camera_maps
 from pipeline.formats.images import RGB, XYZ, read_image
 from pipeline.report import pictures
 from pipeline.report.pictures import picture
@@ -43,7 +45,7 @@ def _maps(run: StageRun, folder: Path) -> list[dict[str, str]]:
 
     add(pictures.radiance(fitted("diffuse_albedo", RGB)), "diffuse albedo", "ρ_d")
     add(pictures.scale(one("specular_albedo"), 0, 1, mask=there), "specular albedo", "ρ_s, 0 to 1")
-    truth = run.capture.truth.camera_maps(folder.name)
+    truth = camera_maps(home_of(run.capture.root, folder.name))
     if truth is not None:
         true, inside = truth["normal"], truth["mask"] > 0.5
         if true.shape == normal.shape:
