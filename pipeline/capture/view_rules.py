@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 if TYPE_CHECKING:
     from pipeline.capture.model import Capture
@@ -11,7 +11,8 @@ if TYPE_CHECKING:
 MIN_TRAINING_VIEWS = 8
 """Fewer views around an object determine no model of it."""
 TEST_EVERY = 8
-"""Every how many-th view, in sorted order and from the first, is held back to test the model, unless the capture's tables say."""
+"""Every how many-th view, in sorted order and from the first, tests the model, unless the capture's own tables say."""
+HeldBack = Literal["validation", "test"]
 
 
 def too_few_views(capture: Capture) -> str | None:
@@ -22,8 +23,9 @@ def too_few_views(capture: Capture) -> str | None:
     return f"too few views for a model: {count}, at least {MIN_TRAINING_VIEWS} are needed"
 
 
-def held_back(names: Iterable[str], parts: Mapping[str, str] | None = None) -> dict[str, str]:
-    """Views that do not train, by name: "test" or "validation", as the capture's own tables say (`parts`), else TEST_EVERY."""
-    if parts:
-        return {name: part for name in names if (part := parts.get(name, "train")) != "train"}
-    return dict.fromkeys(sorted(names)[::TEST_EVERY], "test")
+def held_back(names: Iterable[str], parts: Mapping[str, str] | None = None) -> dict[str, HeldBack]:
+    """The views that take no part in training and what for, as the capture's own tables say (`parts`), else by TEST_EVERY."""
+    if not parts:
+        return dict.fromkeys(sorted(names)[::TEST_EVERY], "test")
+    known: dict[str, HeldBack] = {"validation": "validation", "test": "test"}
+    return {name: known[parts[name]] for name in names if parts.get(name) in known}
