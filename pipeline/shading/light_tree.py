@@ -24,17 +24,12 @@ from pipeline.optics import fresnel, microfacet
 from pipeline.optics.sphere import cube_solid_angles
 from pipeline.optics.stokes import surface_pattern
 
+from . import limits
 from .cube import AXES, cube_directions, texel_index
 
 # Halvings of a texel's tent (two texels wide) at most: 64 cells across cut a texel of 11 degrees (a cube of 8) to a third of
 # the narrowest lobe's width, alpha = 0.0064.
 MOST_HALVINGS = 6
-# Share of all light from which on a node by the horizon is cut further: a lamp that sets is bright to the last.
-BRIGHT = 0.01
-# Sum of weights (D times solid angle) below which a point sees nothing of its lobe: float32 divides by it safely.
-NOTHING = 1e-25
-# e^-12 of its peak is nothing: where Beckmann's lobe ends.
-BECKMANN_END = 12.0
 # Light that nodes are taken to hold beside their own, as a share of the environment's mean: a black node has a centre.
 FAINT = 1e-3
 
@@ -162,7 +157,7 @@ def _leaves(
     angles, radii = (torch.as_tensor(x, **like) for x in (shape.solid_angle, shape.radius))
     child = torch.as_tensor(shape.child, device=normal.device).long()
     place = tree.place.to(**like)
-    points = torch.arange(len(normal), device=normal.device)
+    points = torch.nonzero((normal * view).sum(1) > limits.AWAY)[:, 0]
     roots = torch.arange(shape.first_root, len(child), device=normal.device)
     point, node = points.repeat_interleave(len(roots)), roots.repeat(len(points))
     depth, across, down = (torch.zeros_like(point) for _ in range(3))
@@ -183,9 +178,10 @@ def _leaves(
         allowed = tolerance * (a2 * (1 - near) + near) / alpha[point]
         go = nl >= -2 * wide
         if lobe == "beckmann":
-            go &= near <= BECKMANN_END * a2 * (1 - near)
+            go &= near <= limits.BECKMANN_END * a2 * (1 - near)
         # Within the lobe, bright nodes that the horizon crosses are cut, and texels over which Fresnel's term bends.
-        cut = (depth < 2) & (near < 4 * a2) & (place[node, 4] > BRIGHT) & ((nl.abs() < wide) | (texel & (turn > tolerance / 4)))
+        bends = (nl.abs() < wide) | (texel & (turn > tolerance / 4))
+        cut = (depth < 2) & (near < 4 * a2) & (place[node, 4] > limits.BRIGHT) & bends
         done = ((turn <= allowed) & ~cut) | (texel & (depth >= MOST_HALVINGS))
         take = go & done & (nl > 0)
         found.append((point[take], node[take], direction[take], angle[take], variance[take]))
@@ -283,7 +279,7 @@ def plain(
         return values.new_zeros(count, *values.shape[1:]).index_add(0, leaves.point, values)
 
     total = gathered(weight)
-    hidden = total <= NOTHING
+    hidden = total <= limits.NOTHING
     over = torch.where(hidden, 1.0, total)[:, None]
     turned = torch.stack([gathered((k * across)[:, None] * light) / over for k in (cos2, sin2)], 1)
     straight = tree.radiance[_straight(normal, view, tree.shape.resolution)]

@@ -1,4 +1,4 @@
-"""`light_tree` over the pixels of a view, forward and backward: numba, float32, CPU. Its readable twin is `light_tree.plain`."""
+"""`light_tree` over the pixels of a view, forward and backward: numba, float32. Its readable twin: `light_tree.plain`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from pipeline.kernels.compiling import kernel
 
 from . import limits
 from .cube import AXES
-from .light_tree import BECKMANN_END, BRIGHT, NOTHING
 from .shade_kernels import MATH
 
 _AXES = AXES.astype(np.float32)
@@ -17,10 +16,11 @@ _ZERO, _HALF, _ONE, _TWO, _FOUR = (np.float32(x) for x in (0, 0.5, 1, 2, 4))
 _MIN_IOR = np.float32(limits.MIN_IOR)
 _MIN_ROUGHNESS, _MAX_ROUGHNESS = np.float32(limits.MIN_ROUGHNESS), np.float32(limits.MAX_ROUGHNESS)
 _TINY = np.float32(1e-6)
-_BRIGHT = np.float32(BRIGHT)
-_NOTHING = np.float32(NOTHING)
+_BRIGHT = np.float32(limits.BRIGHT)
+_AWAY = np.float32(limits.AWAY)
+_NOTHING = np.float32(limits.NOTHING)
 _LEAST = np.float32(1e-4)  # cosine of the light below which its shadowing is taken as there: the slope of 1/cosine^2 is finite
-_END = np.float32(BECKMANN_END)
+_END = np.float32(limits.BECKMANN_END)
 CAPACITY = 8192  # nodes a pixel may take, far more than the narrowest lobe takes; beyond it they are taken whole
 _STACK = 64  # three waiting siblings a level at most, of 8 levels of cubes and 8 of cells, and the next four
 
@@ -177,9 +177,11 @@ def forward(
             a2 = r * r * r * r
             e = max(ior[p], _MIN_IOR)
             nv = n[0] * v[0] + n[1] * v[1] + n[2] * v[2]
-            count = _choose(
-                n, v, nv, a2, ggx, place, angle, radius, child, first_root, size, tolerance, most, stack, nodes, leaves
-            )  # fmt: skip
+            count = 0
+            if nv > _AWAY:
+                count = _choose(
+                    n, v, nv, a2, ggx, place, angle, radius, child, first_root, size, tolerance, most, stack, nodes, leaves
+                )  # fmt: skip
             s0, s1, s2, sum_ = _ZERO, _ZERO, _ZERO, _ZERO
             t0, t1, t2, u0, u1, u2 = _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO
             for k in range(count):

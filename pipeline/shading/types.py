@@ -1,19 +1,10 @@
-"""What shading takes and gives, and the names of its variants."""
+"""What shading takes and gives."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import torch
-
-FRESNELS = ("exact", "schlick")
-# Share of the lobe's own scale that a node of the tree of light may span, by name (half its diagonal, as a turn of the half
-# vector): the error falls with its square, the nodes grow with its inverse square. See `light_tree`.
-TREES = {"tree-coarse": 0.6, "tree": 0.45, "tree-fine": 0.3}
-# Rings x azimuths of facets by name (see `lobe`); None is the split sum, or a tree.
-MIRRORS: dict[str, tuple[int, int] | None] = {
-    "split": None, **dict.fromkeys(TREES), "lobe-4": (1, 4), "lobe-12": (2, 6), "lobe-24": (3, 8), "lobe-48": (4, 12)
-}  # fmt: skip
 
 
 @dataclass(frozen=True)

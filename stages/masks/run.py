@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pipeline.capture.naming.files import some
 from pipeline.engine.stage import StageRun
 from pipeline.errors import UserError
+from pipeline.formats.dataset_files import MASKS
 from pipeline.formats.images import read_image, read_stokes, write_png
 from pipeline.geometry.cameras import Camera
 from pipeline.geometry.lens import Straightener, frame_table, frames_folder, lenses
@@ -40,7 +41,7 @@ def make_masks(stage: StageRun) -> None:
     if empty:
         stage.warn(f"{stage.output.name}: the object was not found in {', '.join(empty[:4])}: these views are black")
     table = {"schema": 1, "method": method, "reason": reason, "views": views}
-    (stage.output / "masks.json").write_text(json.dumps(table, indent=1) + "\n", encoding="utf-8")
+    (stage.output / MASKS).write_text(json.dumps(table, indent=1) + "\n", encoding="utf-8")
 
 
 def flag_disagreement(stage: StageRun, masks: dict[str, NDArray[np.uint8]], views: dict[str, dict[str, Any]]) -> None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
+from pipeline.optics.model_names import Mirror
+
 
 @dataclass(frozen=True)
 class RelightParameters:
@@ -14,11 +16,10 @@ class RelightParameters:
     occlusion: Literal["auto", "on", "off"] = field(
         default="auto", metadata={"help": "shadows and one bounce from the mesh; auto: where training modelled them"}
     )
-    mirror: Literal["split", "tree-coarse", "tree", "tree-fine", "lobe-4", "lobe-12", "lobe-24", "lobe-48"] = field(
+    mirror: Mirror = field(
         default="tree",
-        metadata={"help": "mirrored light: the lobe summed over a tree of the map's texels; or over facets, each blurred; or the "
-                  "split sum, which blurs alike in all directions"},
-    )  # fmt: skip
+        metadata={"help": "mirrored light: the lobe summed over a tree of the map's texels, or over facets; or the split sum"},
+    )
     shadow_rays: Literal["vertex", "pixel"] = field(
         default="vertex",
         metadata={"help": "shadows from rays of the mesh's vertices, or of every pixel: sharper, seconds a view"},
