@@ -12,6 +12,7 @@ import math
 from numba import njit
 
 from pipeline.lights import stack
+from pipeline.lights.lobe_names import GGX
 from pipeline.lights.lobes import jacobian, values
 from pipeline.lights.numerics import FAST, ZERO, cholesky_solve, copy1, copy2
 from stages.olat.specular import hold, reweight, tilt, weighted_square
@@ -22,6 +23,7 @@ LENGTH = 3 + DIRECTIONS  # numbers that describe a mixture: log widths, first an
 STEPS = 12
 ROUNDS = 2
 REACH = 3.2  # widths of one lobe: beyond it the mixture is under 4e-5 of its peak
+TAIL = 30.0  # the same of GGX, which falls by the fourth power alone: 1e-6 of its peak
 LOG_MIN, LOG_MAX = math.log(0.01), math.log(2.0)
 
 
@@ -220,7 +222,7 @@ def fit_mixed(lobe, frame, x, large, small, angle, rho, o, h, i, light, floor, u
     reach `limit`, the cost to beat. Returns (robust cost, passes).
     """
     kind = light.dtype.type
-    near = _pack(frame, REACH * large, h, i, light, floor, use, room.front, room.spare)
+    near = _pack(frame, (TAIL if lobe == GGX else REACH) * large, h, i, light, floor, use, room.front, room.spare)
     n = near.shape[1]
     spare = room.spare[9 * n :]
     rows, one = stack.folded(spare, SIZE, n), stack.folded(spare[SIZE * n :], 6, n)

@@ -7,13 +7,14 @@ import math
 import numpy as np
 from numba import njit
 
-from pipeline.lights.lobes import values
+from pipeline.lights.lobes import VIEW_FLOOR, values
 from pipeline.lights.numerics import FAST, HALF, ONE, ZERO
 from pipeline.lights.stack import matrix, vector
 from stages.olat.columns import (
     ALBEDO_D,
     ALBEDO_S,
     ANISOTROPY,
+    AWAY,
     BAD_SAMPLES,
     BLACK,
     FLAG,
@@ -22,6 +23,7 @@ from stages.olat.columns import (
     NORMAL,
     NORMAL_D,
     NORMAL_S,
+    OUTSIDE,
     RESIDUAL,
     ROUGHNESS,
     SATURATED,
@@ -29,6 +31,7 @@ from stages.olat.columns import (
     TANGENT,
     TOO_FEW,
 )
+from stages.olat.determined import NEAREST, SURE, deviation, nearest, strong
 from stages.olat.diffuse import fit_normal
 from stages.olat.lobe_fit import fit_lobe, linear_albedo, round_start
 from stages.olat.paper import (
@@ -47,11 +50,14 @@ from stages.olat.visibility import behind, diffuse_maps, printed_maps, specular_
 BAD_SHARE = 0.1  # of a pixel's samples that may be not finite before the pixel is flagged
 NOISE_FLOOR = 1e-3  # of the brightest sample: half floats are this coarse
 FIXED = -1.0  # tie of a normal that is not to move
+FIXED_VARIANCE = 1e-8  # rad²: of such a normal
 UNKNOWN = 1e6  # variance (rad²) of a normal that was not measured
 ONE_WAY = 0.75  # order of a pixel's tangents below which it has no one tangent
 WIDEST = 2.2  # of a lobe: the width of one that fills the hemisphere (slopes beyond 65 degrees) is not told by the samples
 LIT_LIGHTS = 4  # three determine a normal and its albedo exactly; only a fourth can contradict them
 EFFECTIVE_LIGHTS = 3.0  # a lobe seen by fewer has no width
+CERTAIN = 3.0  # standard deviations of the noise above which a sample counts as light
+BEYOND = -0.05  # n·o (3 degrees past grazing) below which a normal faces away: smoothed normals at an outline come to that
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")
@@ -191,6 +197,8 @@ def fit_pixel(cross, parallel, w, o, area, energy, settings, room, out):
         out[NORMAL], out[NORMAL + 1], out[NORMAL + 2] = x / length, y / length, z / length
     else:
         out[NORMAL], out[NORMAL + 1], out[NORMAL + 2] = n_d[0], n_d[1], n_d[2]
+    if out[NORMAL] * o[0] + out[NORMAL + 1] * o[1] + out[NORMAL + 2] * o[2] < BEYOND and flag != SATURATED and flag != BAD_SAMPLES:
+        flag = AWAY
     data = data_d / (math.pi * math.pi) + data_s
     out[RESIDUAL] = math.sqrt((square_d / (math.pi * math.pi) + square_s) / data) if data > 0 else 0.0
     out[FLAG] = flag
@@ -251,7 +259,9 @@ def _specular(n, w, o, area, settings, n_d, solved, top_d, room, out):
     flag, norm, passes, order = GOOD, 0.0, 0, 1.0
     if clipped > 0.5 * whole:
         flag = SATURATED
-    if whole * whole < EFFECTIVE_LIGHTS * squares:  # too narrow for the rig, or all but hidden: half vectors, moments, no fit
+    light_sum, light_squares = strong(light, use, kind(max(LOBE_FRACTION * top, CERTAIN * noise)))
+    fits = light_sum * light_sum >= EFFECTIVE_LIGHTS * light_squares
+    if not fits:  # too narrow for the rig, or all but hidden: half vectors, moments, no fit
         flag = TOO_FEW if flag == GOOD else flag
         if solved and clipped == 0 and samples < EFFECTIVE_LIGHTS:
             frame_about(n_d[0], n_d[1], n_d[2], frame)
@@ -268,6 +278,13 @@ def _specular(n, w, o, area, settings, n_d, solved, top_d, room, out):
         return nothing
     if large > WIDEST or not rho[0] > 0:
         flag = NO_LOBE
+    elif fits and flag == GOOD:
+        flag = _told(settings, frame, large, small, angle, rho[0], order, o, half, incident, light, floor, use, weight, g, tie,
+                     solved, top)  # fmt: skip
+    if fits and flag != GOOD and flag != SATURATED:  # no brighter at its peak than the brightest sample extrapolated so far
+        facing = max(frame[2, 0] * o[0] + frame[2, 1] * o[1] + frame[2, 2] * o[2], VIEW_FLOOR)
+        width = min(large * small, WIDEST * WIDEST)
+        rho[0] = min(rho[0], top * math.exp(NEAREST * NEAREST) * 4.0 * math.pi * width * facing)
     out[ALBEDO_S] = rho[0]
     out[SIGMA], out[SIGMA + 1] = large, small
     out[ROUGHNESS] = (large * small) ** 0.25
@@ -283,3 +300,23 @@ def _specular(n, w, o, area, settings, n_d, solved, top_d, room, out):
     in_lobe = max(whole * whole / squares, 1.0)
     variance = (square / max(data, 1e-30) + 1e-6) * large * small / in_lobe + (1.0 if flag != GOOD else 0.0)
     return True, n_s, norm, passes, variance, square, data, flag
+
+
+@njit(cache=True, error_model="numpy")
+def _told(settings, frame, large, small, angle, rho, order, o, half, incident, light, floor, use, weight, g, tie, solved, top):
+    """GOOD where the lights tell the lobe that was fitted to them; OUTSIDE where its peak lies beyond them; else TOO_FEW."""
+    axes = matrix(3, 3)
+    along, across = math.cos(angle), math.sin(angle)
+    for k in range(3):
+        axes[0, k] = along * frame[0, k] + across * frame[1, k]
+        axes[1, k] = along * frame[1, k] - across * frame[0, k]
+        axes[2, k] = frame[2, k]
+    peak = nearest(half, use, axes, large, small if order > ONE_WAY else large)
+    if peak > NEAREST:
+        return OUTSIDE
+    known = 1.0 / FIXED_VARIANCE if tie < 0 else (tie if solved else 0.0)
+    is_round = not large - small > ROUND * (large + small)
+    unsure = deviation(settings.lobe, axes, large, small, rho, o, half, incident, light, floor, weight, g, is_round, known, top)
+    if unsure < SURE:
+        return GOOD
+    return OUTSIDE if peak > 0.5 * NEAREST else TOO_FEW

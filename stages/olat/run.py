@@ -22,7 +22,7 @@ from pipeline.lights.solid_angles import solid_angles
 from pipeline.stage import StageRun
 from stages.olat.bands import Band, parts_of
 from stages.olat.cameras import PILOT, CameraJob, decoded
-from stages.olat.columns import FLAG, RESIDUAL, columns
+from stages.olat.columns import FLAG, FLAGS, RESIDUAL, columns
 from stages.olat.drift import WARN_PX, Drift
 from stages.olat.fit import fit, load, ready
 from stages.olat.footprint import with_neighbours
@@ -33,7 +33,6 @@ from stages.olat.settings import SPECULAR_FITS, Settings
 from stages.olat.stage import OlatParameters, every
 from stages.olat.stream import Lanes, Piece
 
-FLAGS = ("good", "too few lights", "saturated", "black", "no lobe", "bad samples")
 PRIOR = (1 / np.radians(0.5)) ** 2  # n_s and n_d of one surface agree to about half a degree
 GAIN = 0.9
 MIXED = 1.0
