@@ -10,9 +10,9 @@ import math
 
 from numba import njit
 
-from pipeline.lights.lobes import normal_equations
-from pipeline.lights.numerics import FAST, ONE, ZERO
-from pipeline.lights.stack import matrix, vector
+from pipeline.kernels.numerics import FAST, ONE, ZERO
+from pipeline.kernels.scratch import matrix, vector
+from pipeline.rig.lobes import normal_equations
 
 SURE = 0.15
 """Standard deviation of the log of a width or of the albedo up to which a lobe counts as told: half of a value (0.4 in the log)
