@@ -10,7 +10,7 @@ from numba import njit
 from pipeline.kernels.numerics import FAST, HALF, ONE, ZERO
 from pipeline.kernels.scratch import matrix, vector
 from pipeline.rig.lobes import VIEW_FLOOR, values
-from stages.olat.determined import NEAREST, SURE, deviation, nearest, strong
+from stages.olat.pixel_fit.determined import NEAREST, SURE, deviation, nearest, strong
 from stages.olat.pixel_fit.diffuse import fit_normal
 from stages.olat.pixel_fit.fit_options import CORRELATION, JOINT, ROUND
 from stages.olat.pixel_fit.light_visibility import behind, diffuse_maps, printed_maps, specular_maps
