@@ -97,7 +97,8 @@ def make(
     """`count` pixels of random normals up to `tilt_deg` from the view, albedos and widths (or the given ones).
 
     noise: standard deviation of a stored sample; clip: its largest value; shadow: each pixel loses the lights within this
-    angle (rad) of a direction about 50 degrees off its normal; lobe: "ward", "beckmann" or "ggx"; views: spread of the view directions (rad) about `VIEW`.
+    angle (rad) of a direction about 50 degrees off its normal; lobe: "ward", "beckmann" or "ggx"; views: spread of the view
+    directions (rad) about `VIEW`.
     Irradiance pi a light, specular factor 2.
     """
     rng = np.random.default_rng(seed)

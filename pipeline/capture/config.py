@@ -7,6 +7,7 @@ through untouched: the stage checks them against its own parameters.
 from __future__ import annotations
 
 import dataclasses
+import math
 import tomllib
 import types
 import typing
@@ -168,7 +169,7 @@ def _convert(hint: Any, value: Any, path: Path, key: str) -> Any:
     if hint is Any:
         return value
     if hint is float:
-        if isinstance(value, bool) or not isinstance(value, int | float):
+        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
             raise wrong
         return float(value)
     if not isinstance(value, hint):
@@ -220,6 +221,7 @@ def _check(config: CaptureConfig, path: Path) -> None:
     )
     refuse(mosaic.demosaic not in ("carriers", "bilinear"), "mosaic.demosaic", mosaic.demosaic, '"carriers" or "bilinear"')
     refuse(config.olat.irradiance <= 0, "olat.irradiance", config.olat.irradiance, "above 0")
+    refuse(config.olat.specular_factor <= 0, "olat.specular_factor", config.olat.specular_factor, "above 0")
     for name, polariser in config.polarisers.items():
         extinction = polariser.extinction
         refuse(extinction is not None and extinction <= 1, f"polarisers.{name}.extinction", extinction, "above 1")

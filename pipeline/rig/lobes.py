@@ -224,7 +224,7 @@ def _common(lobe, frame, shape, o, kind):
     a, b, c = math.exp(shape[0]), math.exp(shape[1]), shape[2]
     factor = a * b * INVERSE_4PI / held
     v0, v1, v2, v3, v4 = -free * ot / held, -free * ob / held, 0.0, 0.0, 0.0
-    if lobe == PRINTED or lobe == PRINTED_COSINE:
+    if lobe in (PRINTED, PRINTED_COSINE):
         factor *= math.sqrt(held)
         v0, v1 = 0.5 * v0, 0.5 * v1
     elif lobe == BECKMANN:

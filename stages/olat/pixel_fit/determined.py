@@ -10,7 +10,7 @@ import math
 
 from numba import njit
 
-from pipeline.kernels.numerics import FAST, ONE, ZERO
+from pipeline.kernels.numerics import FAST, ZERO
 from pipeline.kernels.scratch import matrix, vector
 from pipeline.rig.lobes import normal_equations
 
@@ -71,11 +71,11 @@ def _noise(g, rho, light, floor, weight):
 
 
 @njit(cache=True, error_model="numpy")
-def deviation(lobe, frame, large, small, rho, o, half, incident, light, floor, weight, g, round_lobe, tie, top):
+def deviation(lobe, frame, large, small, rho, o, half, incident, light, floor, weight, g, round_lobe, fixed, top):
     """Largest standard deviation of log widths and log albedo, `UNTOLD` where the samples leave one of them free.
 
-    frame [3, 3]: rows t (along the larger width), b, n; round_lobe: the widths are one parameter; tie: inverse variance (rad^-2)
-    of what n_d says of the normal; top: brightest sample. See `specular.optimise` for the rest.
+    frame [3, 3]: rows t (along the larger width), b, n; round_lobe: the widths are one parameter; fixed: the normal is
+    given, else only the samples tell it; top: brightest sample. See `specular.optimise` for the rest.
     """
     shape, gradient, equations = vector(3), vector(6), matrix(6, 6)
     shape[0], shape[1], shape[2] = -math.log(large), -math.log(small), 0.0
@@ -95,8 +95,10 @@ def deviation(lobe, frame, large, small, rho, o, half, incident, light, floor, w
     for k in range(n):
         equations[k, n - 1] *= rho
         equations[n - 1, k] *= rho
-    equations[0, 0] += tie * variance
-    equations[1, 1] += tie * variance
+    if fixed:
+        for k in range(n):
+            for j in range(2):
+                equations[j, k] = equations[k, j] = 0.0
     worst = 0.0
     for j in range(2, n):
         if round_lobe or j != 4:  # the direction of the tangent is another matter

@@ -18,7 +18,9 @@ RELATIVE = np.float32(0.2)  # of a sample: model error at which the robust weigh
 ABSOLUTE = 0.02  # of the brightest sample: the same for dim samples
 DISAGREE = math.cos(math.radians(3.0))  # of n_s and n_d: further apart, n_d is tried as a start
 MIXED_MISFIT = 0.05**2  # of the samples' square norm: a lobe that misses more may be several
-NOISE_SLACK = 1.25  # of the noise expected in the misfit: three standard deviations for 350 lights
+CERTAIN = 18.2
+"""By how much two more parameters must lower the cost of n samples: `1 / (1 + CERTAIN / (n - 6))`, an F test at 9.1 (one chance
+in ten thousand where there are many). Settings' `gain` is that of 170 lights, and the most there is."""
 UNSURE = 0.1**2  # of the square norm, weighted or not: a lobe or a mixture that misses more has no tangent
 ROUND_STEPS, DIRECTED_STEPS = 2, 3  # Levenberg-Marquardt steps between two reweightings: round lobe, anisotropic lobe
 
@@ -60,7 +62,7 @@ def fit_lobe(settings, o, n_d, prior, solved, half, incident, light, floor, use,
     other, more = _rounds(settings, prior, frame2, shape2, rho2, o, n_d, stiff, absolute, False, samples)
     passes += more
     large, small, _ = widths(shape2)
-    anisotropic = other < settings.gain * cost and (large - small) > ROUND * (large + small)
+    anisotropic = other < _gain(settings.gain, use) * cost and (large - small) > ROUND * (large + small)
     if anisotropic:
         rho[0] = rho2[0]
         copy2(frame2, frame)
@@ -77,7 +79,7 @@ def fit_lobe(settings, o, n_d, prior, solved, half, incident, light, floor, use,
     large, small, angle = widths(shape)
     miss, data, count = _misfit(g, kind(rho[0]), light, floor, use)
     order = 1.0
-    if settings.mixed > 0 and prior >= 0 and miss > MIXED_MISFIT * data + NOISE_SLACK * count * noise * noise:
+    if settings.mixed > 0 and prior >= 0 and miss > MIXED_MISFIT * data + _expected(count, noise):
         x = vector(LENGTH)
         copy2(frame, frame2)
         cost = reweight(g, kind(rho[0]), light, use, absolute, RELATIVE, weight)
@@ -98,9 +100,24 @@ def fit_lobe(settings, o, n_d, prior, solved, half, incident, light, floor, use,
             copy1(trial_weight, weight)
         for weights in (use, weight):
             miss, data, count = _misfit(g, kind(rho[0]), light, floor, weights)
-            if miss > UNSURE * data + NOISE_SLACK * count * noise * noise:
+            if miss > UNSURE * data + _expected(count, noise):
                 order = 0.0  # what is left is as large as what tells the directions apart
     return norm, passes, order
+
+
+@njit(cache=True, error_model="numpy")
+def _expected(count, noise):
+    """Square misfit that noise explains, to three standard deviations of its own."""
+    return (1.0 + 3.0 * math.sqrt(2.0 / max(count, 1.0))) * count * noise * noise
+
+
+@njit(cache=True, error_model="numpy")
+def _gain(most, use):
+    """Share of the round lobe's cost that an anisotropic one must beat, for as many samples as are in use."""
+    n = 0.0
+    for k in range(use.size):
+        n += 1.0 if use[k] > 0 else 0.0
+    return min(most, 1.0 / (1.0 + CERTAIN / (n - 6.0))) if n > 6.0 else 0.0
 
 
 @njit(cache=True, fastmath=FAST, error_model="numpy")

@@ -50,12 +50,13 @@ from stages.olat.pixel_fit.specular import LOBE_FRACTION, frame_about, half_vect
 BAD_SHARE = 0.1  # of a pixel's samples that may be not finite before the pixel is flagged
 NOISE_FLOOR = 1e-3  # of the brightest sample: half floats are this coarse
 FIXED = -1.0  # tie of a normal that is not to move
-FIXED_VARIANCE = 1e-8  # rad²: of such a normal
+UNSETTLED = 1e-3  # gradient norm, data of unit norm, of a fit that ended on the way; float32 and few lights leave up to 3e-4
 UNKNOWN = 1e6  # variance (rad²) of a normal that was not measured
 ONE_WAY = 0.75  # order of a pixel's tangents below which it has no one tangent
 WIDEST = 2.2  # of a lobe: the width of one that fills the hemisphere (slopes beyond 65 degrees) is not told by the samples
 LIT_LIGHTS = 4  # three determine a normal and its albedo exactly; only a fourth can contradict them
 EFFECTIVE_LIGHTS = 3.0  # a lobe seen by fewer has no width
+FAINTEST = 0.01  # of the brightest sample, to count as light of the lobe: below it rounding and inter-reflection would
 CERTAIN = 3.0  # standard deviations of the noise above which a sample counts as light
 BEYOND = -0.05  # n·o (3 degrees past grazing) below which a normal faces away: smoothed normals at an outline come to that
 
@@ -197,7 +198,8 @@ def fit_pixel(cross, parallel, w, o, area, energy, settings, room, out):
         out[NORMAL], out[NORMAL + 1], out[NORMAL + 2] = x / length, y / length, z / length
     else:
         out[NORMAL], out[NORMAL + 1], out[NORMAL + 2] = n_d[0], n_d[1], n_d[2]
-    if out[NORMAL] * o[0] + out[NORMAL + 1] * o[1] + out[NORMAL + 2] * o[2] < BEYOND and flag != SATURATED and flag != BAD_SAMPLES:
+    facing = out[NORMAL] * o[0] + out[NORMAL + 1] * o[1] + out[NORMAL + 2] * o[2]
+    if facing < BEYOND and flag != SATURATED and flag != BAD_SAMPLES:
         flag = AWAY
     data = data_d / (math.pi * math.pi) + data_s
     out[RESIDUAL] = math.sqrt((square_d / (math.pi * math.pi) + square_s) / data) if data > 0 else 0.0
@@ -259,7 +261,7 @@ def _specular(n, w, o, area, settings, n_d, solved, top_d, room, out):
     flag, norm, passes, order = GOOD, 0.0, 0, 1.0
     if clipped > 0.5 * whole:
         flag = SATURATED
-    light_sum, light_squares = strong(light, use, kind(max(LOBE_FRACTION * top, CERTAIN * noise)))
+    light_sum, light_squares = strong(light, use, kind(max(FAINTEST * top, CERTAIN * noise)))
     fits = light_sum * light_sum >= EFFECTIVE_LIGHTS * light_squares
     if not fits:  # too narrow for the rig, or all but hidden: half vectors, moments, no fit
         flag = TOO_FEW if flag == GOOD else flag
@@ -279,8 +281,8 @@ def _specular(n, w, o, area, settings, n_d, solved, top_d, room, out):
     if large > WIDEST or not rho[0] > 0:
         flag = NO_LOBE
     elif fits and flag == GOOD:
-        flag = _told(settings, frame, large, small, angle, rho[0], order, o, half, incident, light, floor, use, weight, g, tie,
-                     solved, top)  # fmt: skip
+        flag = _told(settings, frame, large, small, angle, rho[0], order, o, half, incident, light, floor, use, weight, g, top,
+                     norm if order == 1.0 else 0.0, tie < 0)  # fmt: skip
     if fits and flag != GOOD and flag != SATURATED:  # no brighter at its peak than the brightest sample extrapolated so far
         facing = max(frame[2, 0] * o[0] + frame[2, 1] * o[1] + frame[2, 2] * o[2], VIEW_FLOOR)
         width = min(large * small, WIDEST * WIDEST)
@@ -303,7 +305,7 @@ def _specular(n, w, o, area, settings, n_d, solved, top_d, room, out):
 
 
 @njit(cache=True, error_model="numpy")
-def _told(settings, frame, large, small, angle, rho, order, o, half, incident, light, floor, use, weight, g, tie, solved, top):
+def _told(settings, frame, large, small, angle, rho, order, o, half, incident, light, floor, use, weight, g, top, norm, fixed):
     """GOOD where the lights tell the lobe that was fitted to them; OUTSIDE where its peak lies beyond them; else TOO_FEW."""
     axes = matrix(3, 3)
     along, across = math.cos(angle), math.sin(angle)
@@ -314,9 +316,8 @@ def _told(settings, frame, large, small, angle, rho, order, o, half, incident, l
     peak = nearest(half, use, axes, large, small if order > ONE_WAY else large)
     if peak > NEAREST:
         return OUTSIDE
-    known = 1.0 / FIXED_VARIANCE if tie < 0 else (tie if solved else 0.0)
     is_round = not large - small > ROUND * (large + small)
-    unsure = deviation(settings.lobe, axes, large, small, rho, o, half, incident, light, floor, weight, g, is_round, known, top)
-    if unsure < SURE:
+    unsure = deviation(settings.lobe, axes, large, small, rho, o, half, incident, light, floor, weight, g, is_round, fixed, top)
+    if unsure < SURE and not norm > UNSETTLED:
         return GOOD
     return OUTSIDE if peak > 0.5 * NEAREST else TOO_FEW
