@@ -156,7 +156,14 @@ def _tell(stage: StageRun, records: dict[str, FrameRecord]) -> None:
         stage.warn(
             f"{stage.capture.root}: DoLP is above 1 in {100 * impossible / total:.1f} % of the pixels: black level, order?"
         )
-    if black := [v for v, r in sorted(records.items()) if r.black]:
+    black = [v for v, r in sorted(records.items()) if r.black]
+    if len(black) == len(records):
+        raise UserError(
+            stage.capture.view(black[0]).paths[0],
+            f"every pixel of {'every view' if len(black) > 1 else 'it'} is black or below 0",
+            "check the export, the black level and [stokes] scale",
+        )
+    if black:
         first = stage.capture.view(black[0]).paths[0]
         more = f" and {count(black[1:], 'more view')}" if len(black) > 1 else ""
         stage.warn(f"{first}{more}: every pixel is black: leave it out, or export it again")
