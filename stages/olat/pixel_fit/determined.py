@@ -10,9 +10,8 @@ import math
 
 from numba import njit
 
-from pipeline.kernels.numerics import FAST, ZERO
+from pipeline.kernels.numerics import FAST, ZERO, cholesky_solve
 from pipeline.kernels.scratch import matrix, vector
-from pipeline.rig.lobes import normal_equations
 
 SURE = 0.15
 """Standard deviation of the log of a width or of the albedo up to which a lobe counts as told: half of a value (0.4 in the log)
@@ -71,58 +70,64 @@ def _noise(g, rho, light, floor, weight):
 
 
 @njit(cache=True, error_model="numpy")
-def deviation(lobe, frame, large, small, rho, o, half, incident, light, floor, weight, g, round_lobe, fixed, top):
-    """Largest standard deviation of log widths and log albedo, `UNTOLD` where the samples leave one of them free.
+def deviation(equations, n, shape, rho, light, floor, weight, g, tied, fixed, top):
+    """Largest standard deviation of the log widths and the log albedo, `UNTOLD` where the samples leave one of them free.
 
-    frame [3, 3]: rows t (along the larger width), b, n; round_lobe: the widths are one parameter; fixed: the normal is
-    given, else only the samples tell it; top: brightest sample. See `specular.optimise` for the rest.
+    equations [6, 6]: normal equations of n parameters: d1, d2, A, rho of a round lobe (4), d1, d2, A, B, C, rho (6); tied: what
+    a tie to n_d added to the first two, which is taken out: only the samples tell; fixed: the normal was given; top: brightest
+    sample; g [N]: the lobe's values, see `specular.optimise` for the rest.
     """
-    shape, gradient, equations = vector(3), vector(6), matrix(6, 6)
-    shape[0], shape[1], shape[2] = -math.log(large), -math.log(small), 0.0
-    normal_equations(lobe, frame, shape, rho, o, half, incident, light, floor, weight, equations, gradient)
-    n = 4 if round_lobe else 6
     square, count = _noise(g, light.dtype.type(rho), light, floor, weight)
     variance = max(square / max(count - n, 1.0), (GRAIN * top) ** 2)
-    if round_lobe:
-        for k in range(6):
-            equations[2, k] += equations[3, k]
-        for k in range(6):
-            equations[k, 2] += equations[k, 3]
-            equations[k, 3] = equations[k, 5]
-        for k in range(4):
-            equations[3, k] = equations[5, k]
-        equations[3, 3] = equations[5, 5]
-    for k in range(n):
-        equations[k, n - 1] *= rho
-        equations[n - 1, k] *= rho
-    if fixed:
-        for k in range(n):
-            for j in range(2):
+    scale, system, right, out = vector(6), matrix(6, 6), vector(6), vector(6)
+    for k in range(2):
+        if fixed:
+            for j in range(n):
                 equations[j, k] = equations[k, j] = 0.0
+            equations[k, k] = 1.0
+        else:
+            equations[k, k] -= tied
+    for k in range(n):
+        if not equations[k, k] > 0:
+            return UNTOLD
+        scale[k] = math.sqrt(equations[k, k])
     worst = 0.0
-    for j in range(2, n):
-        if round_lobe or j != 4:  # the direction of the tangent is another matter
-            worst = max(worst, _variance_of(equations, n, j))
-    return min(math.sqrt(worst * variance), UNTOLD) if worst >= 0 else UNTOLD
+    for which in range(3 if n == 6 else 2):
+        for k in range(n):
+            right[k] = 0.0
+        if which == 0:
+            right[n - 1] = 1.0 / rho
+        elif n == 4:
+            right[2] = 1.0
+        else:
+            _width_slope(shape, which == 1, right)
+        for k in range(n):
+            right[k] /= scale[k]
+            for j in range(n):
+                system[k, j] = equations[k, j] / (scale[k] * scale[j])
+        if not cholesky_solve(system, right, n, out):
+            return UNTOLD
+        total = 0.0
+        for k in range(n):
+            total += right[k] * out[k]
+        worst = max(worst, total)
+    return min(math.sqrt(worst * variance), UNTOLD)
 
 
 @njit(cache=True, error_model="numpy")
-def _variance_of(equations, n, j):
-    """Entry (j, j) of the inverse of the symmetric matrix [n, n]: 1 over the pivot that j has when it is eliminated last."""
-    work = matrix(6, 6)
-    for r in range(n):
-        for c in range(n):
-            work[r, c] = equations[r, c]
-    for p in range(n):
-        if p == j:
-            continue
-        pivot = work[p, p]
-        if not pivot > 1e-12 * equations[p, p]:
-            continue  # nothing is known of p: it says nothing of j either, unless it shares its samples, which this leaves out
-        for r in range(n):
-            if r != p:
-                f = work[r, p] / pivot
-                for c in range(n):
-                    work[r, c] -= f * work[p, c]
-    rest = work[j, j]
-    return 1.0 / rest if rest > 1e-10 * equations[j, j] and equations[j, j] > 0 else 1e30
+def _width_slope(shape, wide, out):
+    """Derivatives of the logarithm of the larger (`wide`) or the smaller width by A, B, C, into out[2:5].
+
+    The widths are 1 / sqrt of the eigenvalues of [[a², a c], [a c, c² + b²]].
+    """
+    a, b, c = math.exp(shape[0]), math.exp(shape[1]), shape[2]
+    xx, xy, yy = a * a, a * c, c * c + b * b
+    mean, half = 0.5 * (xx + yy), 0.5 * (xx - yy)
+    root = math.sqrt(half * half + xy * xy)
+    large = mean + root
+    value = (a * b) ** 2 / large if wide else large
+    angle = 0.5 * math.atan2(2 * xy, xx - yy) + (0.5 * math.pi if wide else 0.0)
+    x, y = math.cos(angle), math.sin(angle)
+    out[2] = -(x * x * a * a + x * y * a * c) / value
+    out[3] = -y * y * b * b / value
+    out[4] = -(x * y * a + y * y * c) / value

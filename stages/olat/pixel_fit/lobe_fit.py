@@ -27,13 +27,15 @@ ROUND_STEPS, DIRECTED_STEPS = 2, 3  # Levenberg-Marquardt steps between two rewe
 
 @njit(cache=True, error_model="numpy")
 def fit_lobe(settings, o, n_d, prior, solved, half, incident, light, floor, use, area, cosine, weight, g, top, noise,
-             frame, shape, rho, room):  # fmt: skip
+             frame, shape, rho, equations, room):  # fmt: skip
     """Fit one pixel's lobe in place on (frame, shape, rho[0]).
 
     half, incident [3, N], light, floor, use, area (sr), cosine (h·o) [N]: the lights before the surface; weight, g [N]:
-    workspace, left with the final weights and the lobe's values; top, noise: brightest sample and deviation; prior: strength of
+    workspace, left with the final weights and the lobe's values; equations [6, 6]: left with
+    one lobe's normal equations (`specular.optimise`); top, noise: brightest sample and deviation; prior: strength of
     the tie to n_d where `solved`, negative where n_d is simply given; room: `workspace.Room`.
-    Returns (gradient norm, passes, order of the tangents: 1 where one lobe is kept, less where they mix).
+    Returns (gradient norm, passes, order of the tangents: 1 where one lobe is kept, less where they mix; what the tie added to
+    the equations' first two diagonal entries).
     """
     kind = light.dtype.type
     absolute = kind(ABSOLUTE * top + 3 * noise)
@@ -73,8 +75,11 @@ def fit_lobe(settings, o, n_d, prior, solved, half, incident, light, floor, use,
         reweight(g, kind(rho[0]), light, use, absolute, RELATIVE, weight)
     stiffness = _stiffness(prior, g, kind(rho[0]), light, use, weight) if stiff else 0.0
     _, norm, more = optimise(settings.lobe, frame, shape, rho, o, half, incident, light, floor, weight, not anisotropic,
-                             stiffness, n_d, settings.steps, settings.tolerance)  # fmt: skip
+                             stiffness, n_d, settings.steps, settings.tolerance,
+                             equations)  # fmt: skip
     passes += more
+    agree = n_d[0] * frame[2, 0] + n_d[1] * frame[2, 1] + n_d[2] * frame[2, 2]
+    tied = stiffness * max(agree, 0.5) if stiffness > 0 else 0.0
     values(settings.lobe, frame, shape, o, half, incident, g)
     large, small, angle = widths(shape)
     miss, data, count = _misfit(g, kind(rho[0]), light, floor, use)
@@ -102,7 +107,7 @@ def fit_lobe(settings, o, n_d, prior, solved, half, incident, light, floor, use,
             miss, data, count = _misfit(g, kind(rho[0]), light, floor, weights)
             if miss > UNSURE * data + _expected(count, noise):
                 order = 0.0  # what is left is as large as what tells the directions apart
-    return norm, passes, order
+    return norm, passes, order, tied
 
 
 @njit(cache=True, error_model="numpy")
@@ -146,6 +151,7 @@ def round_start(light, use, level, area, half, cosine, frame, shape):
 def _rounds(settings, prior, frame, shape, rho, o, n_d, stiff, absolute, isotropic, samples):
     """Reweighted Levenberg-Marquardt rounds in place; returns the robust cost at their end and the passes."""
     half, incident, light, floor, use, weight, g = samples
+    scratch = matrix(6, 6)
     kind = light.dtype.type
     values(settings.lobe, frame, shape, o, half, incident, g)
     rho[0] = linear_albedo(g, light, use, floor)
@@ -156,7 +162,8 @@ def _rounds(settings, prior, frame, shape, rho, o, n_d, stiff, absolute, isotrop
             reweight(g, kind(rho[0]), light, use, absolute, RELATIVE, weight)
         stiffness = _stiffness(prior, g, kind(rho[0]), light, use, weight) if stiff else 0.0
         _, _, more = optimise(settings.lobe, frame, shape, rho, o, half, incident, light, floor, weight, isotropic,
-                              stiffness, n_d, ROUND_STEPS if isotropic else DIRECTED_STEPS, settings.tolerance)  # fmt: skip
+                              stiffness, n_d, ROUND_STEPS if isotropic else DIRECTED_STEPS, settings.tolerance,
+                              scratch)  # fmt: skip
         passes += more
         values(settings.lobe, frame, shape, o, half, incident, g)
     return reweight(g, kind(rho[0]), light, use, absolute, RELATIVE, weight), passes

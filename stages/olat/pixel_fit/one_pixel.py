@@ -9,7 +9,7 @@ from numba import njit
 
 from pipeline.kernels.numerics import FAST, HALF, ONE, ZERO
 from pipeline.kernels.scratch import matrix, vector
-from pipeline.rig.lobes import VIEW_FLOOR, values
+from pipeline.rig.lobes import VIEW_FLOOR, normal_equations, values
 from stages.olat.pixel_fit.determined import NEAREST, SURE, deviation, nearest, strong
 from stages.olat.pixel_fit.diffuse import fit_normal
 from stages.olat.pixel_fit.fit_options import CORRELATION, JOINT, ROUND
@@ -249,7 +249,7 @@ def _specular(n, w, o, area, settings, n_d, solved, top_d, room, out):
         return nothing
     if x * o[0] + y * o[1] + z * o[2] < 0.02 and solved:
         x, y, z = n_d
-    frame, shape, rho = matrix(3, 3), vector(3), vector(1)
+    frame, shape, rho, equations = matrix(3, 3), vector(3), vector(1), matrix(6, 6)
     tie, tied = settings.prior, n_d
     if settings.specular_fit == CORRELATION:
         a, b, c, found = correlation_normal(light, use, incident, o, weight)
@@ -258,7 +258,7 @@ def _specular(n, w, o, area, settings, n_d, solved, top_d, room, out):
     if settings.specular_fit != JOINT:
         tie, tied, solved = FIXED, (x, y, z), False
     frame_about(x, y, z, frame)
-    flag, norm, passes, order = GOOD, 0.0, 0, 1.0
+    flag, norm, passes, order, held = GOOD, 0.0, 0, 1.0, 0.0
     if clipped > 0.5 * whole:
         flag = SATURATED
     light_sum, light_squares = strong(light, use, kind(max(FAINTEST * top, CERTAIN * noise)))
@@ -272,8 +272,8 @@ def _specular(n, w, o, area, settings, n_d, solved, top_d, room, out):
         for j in range(n):
             weight[j] = use[j]
     else:
-        norm, passes, order = fit_lobe(settings, o, tied, tie, solved, half, incident, light, floor, use, areas, cosine, weight,
-                                       g, top, noise, frame, shape, rho, room)  # fmt: skip
+        norm, passes, order, held = fit_lobe(settings, o, tied, tie, solved, half, incident, light, floor, use, areas, cosine,
+                                             weight, g, top, noise, frame, shape, rho, equations, room)  # fmt: skip
     rho[0] = linear_albedo(g, light, weight, floor) if order == 1.0 else rho[0]
     large, small, angle = widths(shape)
     if not (math.isfinite(large) and math.isfinite(small) and math.isfinite(rho[0]) and math.isfinite(frame[2, 0])):
@@ -281,8 +281,8 @@ def _specular(n, w, o, area, settings, n_d, solved, top_d, room, out):
     if large > WIDEST or not rho[0] > 0:
         flag = NO_LOBE
     elif fits and flag == GOOD:
-        flag = _told(settings, frame, large, small, angle, rho[0], order, o, half, incident, light, floor, use, weight, g, top,
-                     norm if order == 1.0 else 0.0, tie < 0)  # fmt: skip
+        flag = _told(settings, frame, shape, rho[0], order, norm, equations, held, o, half, incident, light, floor, use, weight,
+                     g, top, tie < 0)  # fmt: skip
     if fits and flag != GOOD and flag != SATURATED:  # no brighter at its peak than the brightest sample extrapolated so far
         facing = max(frame[2, 0] * o[0] + frame[2, 1] * o[1] + frame[2, 2] * o[2], VIEW_FLOOR)
         width = min(large * small, WIDEST * WIDEST)
@@ -305,8 +305,11 @@ def _specular(n, w, o, area, settings, n_d, solved, top_d, room, out):
 
 
 @njit(cache=True, error_model="numpy")
-def _told(settings, frame, large, small, angle, rho, order, o, half, incident, light, floor, use, weight, g, top, norm, fixed):
+def _told(
+    settings, frame, shape, rho, order, norm, equations, held, o, half, incident, light, floor, use, weight, g, top, fixed
+):
     """GOOD where the lights tell the lobe that was fitted to them; OUTSIDE where its peak lies beyond them; else TOO_FEW."""
+    large, small, angle = widths(shape)
     axes = matrix(3, 3)
     along, across = math.cos(angle), math.sin(angle)
     for k in range(3):
@@ -316,8 +319,11 @@ def _told(settings, frame, large, small, angle, rho, order, o, half, incident, l
     peak = nearest(half, use, axes, large, small if order > ONE_WAY else large)
     if peak > NEAREST:
         return OUTSIDE
-    is_round = not large - small > ROUND * (large + small)
-    unsure = deviation(settings.lobe, axes, large, small, rho, o, half, incident, light, floor, weight, g, is_round, fixed, top)
+    n = 4 if shape[0] == shape[1] and shape[2] == 0.0 else 6
+    if order != 1.0:  # tangents mix: judged as one lobe of these widths
+        n, held, norm, gradient = 6, 0.0, 0.0, vector(6)
+        normal_equations(settings.lobe, frame, shape, rho, o, half, incident, light, floor, weight, equations, gradient)
+    unsure = deviation(equations, n, shape, rho, light, floor, weight, g, held, fixed, top)
     if unsure < SURE and not norm > UNSETTLED:
         return GOOD
     return OUTSIDE if peak > 0.5 * NEAREST else TOO_FEW
