@@ -112,7 +112,9 @@ def test_white_masks_and_masks_of_ones_are_told(views):
     outcome = run(views)
     told = outcome.err + outcome.out
     assert outcome.status == 0 and "3 masks white all over" in told and "its values are 0, 1" in told
-    coverage = [v["coverage"] for v in json.loads((views.parent / "out/masks/current/masks.json").read_text())["views"].values()]
+    coverage = [
+        v["coverage"] for v in json.loads((views.parent / "out/masks/current/masks.json").read_text())["views"].values()
+    ]
     assert max(coverage) < 0.6 and min(coverage) > 0.02
 
 

@@ -3,15 +3,14 @@
 import numpy as np
 import pytest
 
-from benchmarks.olat_pixels import angle_deg, make, rig_of, unit
 from pipeline.capture.model import LightTable
 from pipeline.rig.lobe_names import LOBES
-from stages.olat.pixel_fit.many_pixels import fit
-from stages.olat.pixel_fit.result_layout import AWAY, FLAG, GOOD, OUTSIDE, TOO_FEW
-from tests.olat.test_recovery import AT, DEFAULT
+from stages.olat.pixel_fit.result_layout import AWAY, FLAG, GOOD, OUTSIDE, TOO_FEW, columns
+from synth.olat_pixels import angle_deg, make, rig_of, unit
 
 pytestmark = pytest.mark.slow  # the kernels' first compilation takes most of a minute
 
+AT = columns()
 COUNT = 400
 
 
@@ -48,14 +47,19 @@ SETTINGS = {
 }
 
 
-def fitted(lobe: str = "ward", **more):
-    p = make(COUNT, seed=11, lobe=lobe, **more)
-    rows, _ = fit(p.cross.astype("f4"), p.parallel.astype("f4"), p.view, p.rig, DEFAULT._replace(lobe=LOBES[lobe]))
-    return p, rows
+@pytest.fixture
+def fitted(run):
+    """fitted(lobe, ...) -> pixels of this lobe (`make`'s options), and what the fit made of them."""
+
+    def call(lobe: str = "ward", **more):
+        p = make(COUNT, seed=11, lobe=lobe, **more)
+        return p, run(p, lobe=LOBES[lobe])
+
+    return call
 
 
 @pytest.mark.parametrize("name", SETTINGS)
-def test_what_is_called_good_is_right_and_no_albedo_runs_away(name):
+def test_what_is_called_good_is_right_and_no_albedo_runs_away(fitted, name):
     p, rows = fitted(**SETTINGS[name])
     good = rows[:, FLAG] == GOOD
     albedo = rows[:, AT["specular_albedo"]][:, 0]
@@ -67,12 +71,12 @@ def test_what_is_called_good_is_right_and_no_albedo_runs_away(name):
 
 
 @pytest.mark.parametrize("sigma, noise", [((0.4, 0.4), 0.0), ((0.2, 0.2), 0.03), ((0.1, 0.1), 0.01), ((0.5, 0.05), 0.005)])
-def test_lobes_that_are_told_stay_good(sigma, noise):
+def test_lobes_that_are_told_stay_good(fitted, sigma, noise):
     _, rows = fitted(sigma=sigma, noise=noise)
     assert np.mean(rows[:, FLAG] == GOOD) > 0.98
 
 
-def test_peaks_beyond_the_lights_are_flagged_as_that():
+def test_peaks_beyond_the_lights_are_flagged_as_that(fitted):
     _, rows = fitted(rig=HALF, sigma=(0.4, 0.4))
     flags = np.bincount(rows[:, FLAG].astype(int), minlength=8)
     assert flags[OUTSIDE] > 0.1 * COUNT and flags[OUTSIDE] + flags[TOO_FEW] + flags[GOOD] == COUNT
@@ -80,7 +84,7 @@ def test_peaks_beyond_the_lights_are_flagged_as_that():
 
 @pytest.mark.parametrize("alpha", [0.1, 0.2, 0.4])
 @pytest.mark.parametrize("noise", [0.0, 0.005])
-def test_a_round_ggx_surface_stays_round(alpha, noise):
+def test_a_round_ggx_surface_stays_round(fitted, alpha, noise):
     _, rows = fitted("ggx", sigma=(alpha, alpha), noise=noise)
     good = rows[:, FLAG] == GOOD
     assert good.mean() > 0.97
@@ -88,18 +92,15 @@ def test_a_round_ggx_surface_stays_round(alpha, noise):
     assert np.median(np.abs(rows[good][:, AT["sigma"]] / alpha - 1)) < (0.01 if noise else 1e-3)
 
 
-def test_ggx_fits_its_own_pixels_better_than_the_other_lobes():
+def test_ggx_fits_its_own_pixels_better_than_the_other_lobes(run):
     p = make(COUNT, seed=5, lobe="ggx", sigma=(0.2, 0.2), noise=0.002)
-    residual = {
-        name: fit(p.cross.astype("f4"), p.parallel.astype("f4"), p.view, p.rig, DEFAULT._replace(lobe=LOBES[name]))[0]
-        for name in ("ward", "beckmann", "ggx")
-    }
-    best = np.argmin([rows[:, AT["residual"]][:, 0] for rows in residual.values()], 0)
+    residual = [run(p, lobe=LOBES[name])[:, AT["residual"]][:, 0] for name in ("ward", "beckmann", "ggx")]
+    best = np.argmin(residual, 0)
     assert np.mean(best == 2) > 0.9
 
 
-def test_normals_that_face_away_are_flagged():
+def test_normals_that_face_away_are_flagged(run):
     p = make(COUNT, seed=3, sigma=(0.3, 0.3))
-    turned = LightTable(-p.rig.directions, -p.rig.positions, p.rig.intensity, p.rig.solid_angle)
-    rows, _ = fit(p.cross.astype("f4"), p.parallel.astype("f4"), p.view, turned, DEFAULT)
+    p.rig = LightTable(-p.rig.directions, -p.rig.positions, p.rig.intensity, p.rig.solid_angle)
+    rows = run(p)
     assert np.mean(rows[:, FLAG] == AWAY) > 0.95
