@@ -85,7 +85,7 @@ def _decode_one(source: ViewSource, stage: StageRun) -> tuple[str, FrameRecord]:
         record.negative, record.impossible, peak = survey.negative, survey.impossible, survey.peak
     else:
         peak = float(image.max(initial=0.0))
-    record.black = not peak > 0
+    record.black = not (peak > 0 and bool((decoded.s0 > 0).any()))  # a NaN is no light
     half = _half(peak, stage.parameters.precision)
     if decoded.verbatim is not None and stage.parameters.precision == "auto":
         shutil.copyfile(decoded.verbatim, stage.output / name)
