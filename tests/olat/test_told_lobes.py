@@ -65,7 +65,7 @@ def test_what_is_called_good_is_right_and_no_albedo_runs_away(fitted, name):
     albedo = rows[:, AT["specular_albedo"]][:, 0]
     wrong = angle_deg(rows[:, AT["normal"]], p.normal) > 5
     wrong |= (np.abs(rows[:, AT["sigma"]] / p.sigma - 1) > 0.5).any(1) | (np.abs(albedo / p.specular - 1) > 0.5)
-    assert (wrong & good).sum() <= 0.01 * max(good.sum(), 100)
+    assert (wrong & good).mean() < 0.01
     assert albedo[good].max(initial=0.0) < 1.0  # at most 0.6 were put in
     assert albedo.max() < 12.0  # bounds where it is not told; 2e28 without them
 
@@ -88,7 +88,7 @@ def test_a_round_ggx_surface_stays_round(fitted, alpha, noise):
     _, rows = fitted("ggx", sigma=(alpha, alpha), noise=noise)
     good = rows[:, FLAG] == GOOD
     assert good.mean() > 0.97
-    assert np.mean(rows[good][:, AT["anisotropy"]] > 0.1) < 0.01
+    assert np.mean(rows[good][:, AT["anisotropy"]] > 0.2) < 0.01  # 0.5 under the other lobes
     assert np.median(np.abs(rows[good][:, AT["sigma"]] / alpha - 1)) < (0.01 if noise else 1e-3)
 
 
