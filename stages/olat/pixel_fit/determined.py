@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
+from pipeline.kernels.compiling import kernel
 from pipeline.kernels.numerics import FAST, ZERO, cholesky_solve
 from pipeline.kernels.scratch import matrix, vector
 
@@ -24,7 +23,7 @@ GRAIN = 1e-3
 UNTOLD = 1e6  # standard deviation of what the samples do not tell
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST, error_model="numpy")
 def strong(light, use, level):
     """Sum and sum of squares of the samples above `level`: noise, which lies below it, is no light."""
     whole = squares = ZERO * level
@@ -36,7 +35,7 @@ def strong(light, use, level):
     return float(whole), float(squares)
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST, error_model="numpy")
 def _nearest(hx, hy, hz, use, tx, ty, tz, bx, by, bz, nx, ny, nz, a, b):
     """Least square distance, in widths 1/a along t and 1/b along b, of a light's half vector from the normal (in slopes)."""
     least = ZERO * a + 1e30
@@ -49,7 +48,7 @@ def _nearest(hx, hy, hz, use, tx, ty, tz, bx, by, bz, nx, ny, nz, a, b):
     return least
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def nearest(half, use, frame, large, small):
     """Distance, in widths, of the half vector nearest to the peak of a lobe in `frame` (t along the larger width)."""
     k = half[0].dtype.type
@@ -58,7 +57,7 @@ def nearest(half, use, frame, large, small):
                               k(n[0]), k(n[1]), k(n[2]), k(1.0 / large), k(1.0 / small)))  # fmt: skip
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST, error_model="numpy")
 def _noise(g, rho, light, floor, weight):
     square = count = ZERO * rho
     for k in range(g.size):
@@ -69,7 +68,7 @@ def _noise(g, rho, light, floor, weight):
     return float(square), float(count)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def deviation(equations, n, shape, rho, light, floor, weight, g, tied, fixed, top):
     """Largest standard deviation of the log widths and the log albedo, `UNTOLD` where the samples leave one of them free.
 
@@ -114,7 +113,7 @@ def deviation(equations, n, shape, rho, light, floor, weight, g, tied, fixed, to
     return min(math.sqrt(worst * variance), UNTOLD)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _width_slope(shape, wide, out):
     """Derivatives of the logarithm of the larger (`wide`) or the smaller width by A, B, C, into out[2:5].
 

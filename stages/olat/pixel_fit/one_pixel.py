@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from pipeline.kernels.compiling import kernel
 from pipeline.kernels.numerics import FAST, HALF, ONE, ZERO
 from pipeline.kernels.scratch import matrix, vector
 from pipeline.rig.lobes import VIEW_FLOOR, normal_equations, values
@@ -61,7 +61,7 @@ CERTAIN = 3.0  # standard deviations of the noise above which a sample counts as
 BEYOND = -0.05  # n·o (3 degrees past grazing) below which a normal faces away: smoothed normals at an outline come to that
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST, error_model="numpy")
 def _albedo(rgb, wx, wy, wz, nx, ny, nz, weight, out):
     """PRF Eq. 16: ratio of two dot products over the lights in use; `out` [3] is filled."""
     r = g = b = den = ZERO * nx
@@ -78,7 +78,7 @@ def _albedo(rgb, wx, wy, wz, nx, ny, nz, weight, out):
         out[0] = out[1] = out[2] = ZERO
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST, error_model="numpy")
 def _in_use(weight):
     """Sum of the weights, and how many of them count."""
     s = n = ZERO * weight[0]
@@ -88,7 +88,7 @@ def _in_use(weight):
     return float(s), float(n)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _gather(room, w, area, n_d, solved):
     """Lights before the surface, packed: their directions, half vectors, samples and whether they are seen."""
     n = 0
@@ -107,7 +107,7 @@ def _gather(room, w, area, n_d, solved):
     return n
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def fit_pixel(cross, parallel, w, o, area, energy, settings, room, out):
     """Fill `out` [WIDTH] for one pixel from its samples cross, parallel [3, N] (N lights at directions w [3, N]).
 
@@ -215,7 +215,7 @@ def fit_pixel(cross, parallel, w, o, area, energy, settings, room, out):
     return norm, passes
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _gradient(room, w, o, area, flag, out):
     """Ma et al. 2007: normals from the three gradients, albedos from the sums; no lobe, no refinement."""
     x, y, z, found = gradient_direction(room.diffuse, room.ok, w, area)
@@ -231,7 +231,7 @@ def _gradient(room, w, o, area, flag, out):
     out[FLAG] = flag if found else TOO_FEW
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _specular(n, w, o, area, settings, n_d, solved, top_d, room, out):
     """Specular part of a pixel: what can be fitted, the fit, its maps. See `fit_pixel`."""
     kind = area.dtype.type
@@ -304,7 +304,7 @@ def _specular(n, w, o, area, settings, n_d, solved, top_d, room, out):
     return True, n_s, norm, passes, variance, square, data, flag
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _told(
     settings, frame, shape, rho, order, norm, equations, held, o, half, incident, light, floor, use, weight, g, top, fixed
 ):
