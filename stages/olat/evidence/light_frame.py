@@ -87,9 +87,9 @@ def judge(look: Look, turn: NDArray[np.float64]) -> Fit:
 
 def spacing(w: NDArray[np.float64]) -> float:
     """Usual angle (rad) between a light and its nearest neighbour, directions [N, 3]."""
-    from scipy.spatial import cKDTree
-
-    return float(np.median(cKDTree(w).query(w, 2)[0][:, 1]))
+    cosine = w @ w.T
+    np.fill_diagonal(cosine, -1.0)
+    return float(np.median(np.arccos(np.clip(cosine.max(1), -1, 1))))
 
 
 def turns() -> Iterator[NDArray[np.float64]]:

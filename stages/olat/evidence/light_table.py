@@ -22,9 +22,11 @@ def spread(directions: NDArray[np.float64]) -> float:
 
 def repeated(places: NDArray[np.float64]) -> list[tuple[int, int]]:
     """Pairs of lights at one place [N, 3] (unit directions, or positions over their size)."""
-    from scipy.spatial import cKDTree
-
-    return sorted(cKDTree(places).query_pairs(SAME_RAD))
+    found = []
+    for k in range(len(places) - 1):
+        off = np.abs(places[k + 1 :] - places[k]).max(1)
+        found += [(k, k + 1 + int(j)) for j in np.flatnonzero(off < SAME_RAD)]
+    return found
 
 
 def table_faults(lights: LightTable, near: bool) -> tuple[str | None, list[str]]:

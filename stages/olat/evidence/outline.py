@@ -4,23 +4,27 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from pipeline.geometry.cameras import Camera
 
-RING = 2.5  # pixels from the outline within which a normal counts as one of it
-SMOOTH = 1.5  # pixels
+PASSES = 6
+"""Of the binomial filter 1 2 1 along both axes: a Gaussian of 1.7 pixels, whose slope at a straight outline is 0.23."""
+SLOPE = 0.08  # of the blurred mask: what it is 2.5 pixels from a straight outline
 
 
 def outward(mask: NDArray[np.bool_], camera: Camera, pixels: NDArray[np.intp]) -> NDArray[np.float64]:
     """Unit vectors [P, 3] out of the object at flat indices `pixels`; 0 away from the outline and at the frame's edge."""
-    inside = np.pad(mask, 1, mode="edge")  # what the frame cuts has no outline there
-    distance = ndimage.distance_transform_edt(inside)
-    slope = np.stack(np.gradient(ndimage.gaussian_filter(distance, SMOOTH)), -1)[1:-1, 1:-1].reshape(-1, 2)[pixels]
-    near = distance[1:-1, 1:-1].reshape(-1)[pixels] <= RING
-    down, right = -slope[:, 0], -slope[:, 1]
-    size = np.hypot(down, right)
-    told = near & (size > 0.2)
-    right, down = (np.where(told, v / np.maximum(size, 1e-9), 0.0) for v in (right, down))
+    blurred = np.pad(mask, 1, mode="edge").astype(np.float32)  # what the frame cuts has no outline there
+    for _ in range(PASSES):
+        for axis in (0, 1):
+            before, after = (np.take(blurred, _shifted(blurred.shape[axis], step), axis) for step in (-1, 1))
+            blurred = 0.25 * (before + after) + 0.5 * blurred
+    slope = np.stack([np.gradient(blurred, axis=axis) for axis in (0, 1)], -1)[1:-1, 1:-1].reshape(-1, 2)[pixels].astype(float)
+    size = np.hypot(slope[:, 0], slope[:, 1])
+    down, right = -np.where(size > SLOPE, slope.T / np.maximum(size, 1e-9), 0.0)
     axes = camera.world_to_camera[:3, :3]  # rows: right, down, forward
     return right[:, None] * axes[0] + down[:, None] * axes[1]
+
+
+def _shifted(count: int, step: int) -> NDArray[np.intp]:
+    return np.clip(np.arange(count) + step, 0, count - 1)
