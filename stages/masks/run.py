@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pipeline.capture.naming.files import count, some
 from pipeline.engine.stage import StageRun
 from pipeline.errors import UserError
+from pipeline.formats.dataset_files import MASKS
 from pipeline.formats.images import read_stokes, write_png
 from pipeline.geometry.cameras import Camera
 from pipeline.geometry.lens import Straightener, frame_table, frames_folder, lenses
@@ -51,7 +52,7 @@ def make_masks(stage: StageRun) -> None:
             "look at the masks"
         )
     table = {"schema": 1, "method": method, "reason": reason, "views": views}
-    (stage.output / "masks.json").write_text(json.dumps(table, indent=1) + "\n", encoding="utf-8")
+    (stage.output / MASKS).write_text(json.dumps(table, indent=1) + "\n", encoding="utf-8")
 
 
 def flag_disagreement(stage: StageRun, masks: dict[str, NDArray[np.uint8]], views: dict[str, dict[str, Any]]) -> None:
@@ -83,7 +84,7 @@ def flag_disagreement(stage: StageRun, masks: dict[str, NDArray[np.uint8]], view
 def say_if_one_sided(stage: StageRun) -> None:
     """A line where the cameras do not go around the object."""
     from stages.masks.doubts import one_sided
-    from stages.masks.segment import cameras_of
+    from stages.masks.inputs import cameras_of
 
     cameras = cameras_of(stage)
     fault = one_sided([cameras[view] for view in sorted(cameras)])

@@ -17,6 +17,9 @@ import numpy as np
 import torch
 
 from pipeline.engine.progress import Bar
+from pipeline.formats import dataset_files as files
+from pipeline.formats.gbuffer import write_gbuffer
+from pipeline.formats.images import write_exr
 from pipeline.geometry.lens import frame_table, frames_folder
 from pipeline.report.explained import FEWEST, doubts, explained
 
@@ -56,7 +59,7 @@ def train(stage: StageRun) -> None:
     started = time.monotonic()
     inputs = stage.inputs
     sources, mode = load_sources(frames_folder(inputs), inputs["poses"], inputs.get("masks"), parameters.polarisation)
-    points = read_points(inputs["poses"] / "points.ply")
+    points = read_points(inputs["poses"] / files.POINTS)
     start = prepare_training(sources, mode, stage.capture.polarisers, stage.capture.up, parameters, stage.device, points)
     tell_start(start, stage)
     find_polarisers(start, sources, stage, points)
@@ -68,7 +71,7 @@ def train(stage: StageRun) -> None:
     with torch.no_grad():
         write_results(trainer, start, sources, stage)
         say_what_is_unexplained(trainer, start, sources, stage)
-    write_log(stage.output / "train_log.csv", history.rows)
+    write_log(stage.output / files.TRAIN_LOG, history.rows)
     stage.note("splats", len(trainer.scene.model))
     stage.note("iterations", trainer.iteration)
     stage.note("hollowed", [round(share, 4) for share in trainer.hollowed])
@@ -227,23 +230,22 @@ def openings_share(trainer: Trainer) -> float:
 def write_results(trainer: Trainer, start: Start, sources: list[SourceView], stage: StageRun) -> None:
     """Everything that dataset.md lists for this stage, except the log."""
     output, frame = stage.output, start.frame
-    (output / "test").mkdir(parents=True, exist_ok=True)
-    (output / "gbuffer").mkdir(parents=True, exist_ok=True)
+    (output / files.TESTS).mkdir(parents=True, exist_ok=True)
+    (output / files.GBUFFERS).mkdir(parents=True, exist_ok=True)
     openings = openings_share(trainer) > 0
     with stage.progress.bar("writing views", total=len(sources), unit="views") as bar:
         for source in sources:
             view, rendered = whole_view(trainer, start, source)
             channels = export.view_channels(rendered, view, frame)
-            kept = [name for name in channels if not name.startswith(("S", "diffuse", "specular"))]
-            export.write_view(output / "gbuffer" / f"{source.name}.exr", {name: channels[name] for name in kept})
+            write_gbuffer(files.gbuffer(output, source.name), channels)
             if source.split == "test":
                 normals = mean_normals(trainer.scene.model.activated(), view, trainer.backend, openings)
                 channels = export.with_normals(channels, normals, view, frame)
-                export.write_view(output / "test" / f"{source.name}.exr", channels)
+                write_exr(files.held_back_image(output, source.name), channels)
             bar.advance()
     export.write_gaussians(output / "gaussians.ply", trainer.scene.model, frame)
-    export.write_environment(output / "env.exr", trainer.scene.environment.radiance(), frame)
-    export.write_polarisers(output / "polarisers.json", trainer.scene.bank)
+    export.write_environment(output / files.ENVIRONMENT, trainer.scene.environment.radiance(), frame)
+    export.write_polarisers(output / files.POLARISERS, trainer.scene.bank)
     facts = {
         "up": stage.capture.up,
         "fresnel": trainer.parameters.fresnel,
@@ -252,4 +254,4 @@ def write_results(trainer: Trainer, start: Start, sources: list[SourceView], sta
         "environment_resolution": trainer.parameters.environment_resolution,
         "occlusion": bool(trainer.scene.occlusion),
     }
-    export.write_lighting(output / "lighting.json", frame, facts)
+    export.write_lighting(output / files.LIGHTING, frame, facts)

@@ -19,6 +19,7 @@ from pipeline.capture.naming.files import count, some
 from pipeline.engine.stage import StageRun
 from pipeline.errors import UserError
 from pipeline.formats.images import HALF_MAX, write_exr, write_mask, write_png, write_stokes
+from pipeline.geometry.lens import FRAMES
 from stages.calib.decode.frame_scan_kernel import count_unphysical, make_physical
 from stages.calib.decode.noise import estimate_noise
 from stages.calib.decode.plateau import clip_level
@@ -71,7 +72,7 @@ def decode_views(stage: StageRun) -> None:
     }
     if capture.parts is not None:
         table["parts"] = capture.parts
-    (output / "frames.json").write_text(json.dumps(table, indent=1) + "\n", encoding="utf-8")
+    (output / FRAMES).write_text(json.dumps(table, indent=1) + "\n", encoding="utf-8")
 
 
 def _decode_one(source: ViewSource, stage: StageRun) -> tuple[str, FrameRecord]:
