@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import types
 import typing
 from typing import Any
@@ -62,7 +63,7 @@ def _scalar(value: Any, kind: type, key: str, source: str, text: bool) -> Any:
         number = float(value) if text and isinstance(value, str) else value
     except ValueError:
         raise _wrong(value, kind, key, source) from None
-    if isinstance(number, bool) or not isinstance(number, int | float):
+    if isinstance(number, bool) or not isinstance(number, int | float) or not math.isfinite(number):
         raise _wrong(value, kind, key, source)
     if kind is int and not (isinstance(number, int) or number.is_integer()):
         raise _wrong(value, kind, key, source)

@@ -51,6 +51,8 @@ def figures(run: StageRun) -> dict[str, Table]:
                 decode = frames_folder(inputs)
                 frames = json.loads((decode / FRAMES).read_text())
                 tables[name] = train_table(inputs["train"], decode, masks, truth, frames)
+                for line in tables[name].doubts:
+                    run.warn(line)
             elif name == "mesh":
                 tables[name] = mesh_table(inputs["mesh"], truth.mesh, run.parameters.mesh_samples)
             elif capture.kind == "light_stage":

@@ -32,7 +32,7 @@ def run(run: StageRun) -> None:
 
 STAGE = Stage(
     name="metrics",
-    version=2,
+    version=3,
     parameters=MetricsParameters,
     needs=("decode", "poses", "masks", "olat", "train", "mesh", "relight"),
     needed=needed,

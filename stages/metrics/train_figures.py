@@ -12,6 +12,7 @@ from pipeline.formats import dataset_files as files
 from pipeline.formats.gbuffer import surface_of
 from pipeline.formats.ground_truth import Truth
 from pipeline.formats.images import RGB, read_exr, read_image, read_stokes
+from pipeline.report.explained import Explained, doubts, explained
 
 from .environment_figures import environment_figures
 from .image_figures import erode, normal_figures, polarisation_figures, radiance_figures
@@ -32,6 +33,10 @@ def train_table(train: Path, decode: Path, masks: Path | None, truth: Truth, fra
     angles = json.loads(polarisers.read_text()) if polarisers.exists() else {}
     for view in tests:
         table.rows.append({"view": view, **_view_figures(train, decode, masks, truth, view, frames, angles)})
+    told = {
+        row["view"]: Explained(row.get("likeness"), row.get("off"), row.get("polarisation_unexplained")) for row in table.rows
+    }
+    table.doubts = doubts(told)
     table.figures["views"] = len(tests)
     table.means()
     table.missing(NORMALS, "the capture has no gt/normal")
@@ -64,19 +69,21 @@ def _view_figures(
     if target.rgb.shape != stokes[:, :, 0].shape:
         return out
     stokes = stokes * target.compared[..., None, None]
+    facts = frames.get("views", {}).get(view, {})
+    seen, polarised, suffix = stokes[:, :, 0], None, ""
     if target.stokes is not None:
-        out |= radiance_figures(stokes[:, :, 0], target.stokes[:, :, 0], inside)
+        polarised = (stokes[inside][:, 1:], target.stokes[inside][:, 1:])
         out |= polarisation_figures(stokes, target.stokes, inside)
     elif frames.get("polarisation") == "polarisers":
-        angle = angles.get(frames.get("views", {}).get(view, {}).get("camera", ""), {}).get("angle_deg")
-        if angle is not None:
-            t = 2 * np.radians(angle)
-            seen = 0.5 * (stokes[:, :, 0] + stokes[:, :, 1] * np.cos(t) + stokes[:, :, 2] * np.sin(t))
-            figures = radiance_figures(seen, target.rgb, inside)
-            out |= {f"{name}_behind_polariser": value for name, value in figures.items()}
-    else:
-        out |= radiance_figures(stokes[:, :, 0], target.rgb, inside)
-    return out
+        angle = angles.get(facts.get("camera", ""), {}).get("angle_deg")
+        if angle is None:
+            return out
+        t = 2 * np.radians(angle)
+        seen, suffix = 0.5 * (seen + stokes[:, :, 1] * np.cos(t) + stokes[:, :, 2] * np.sin(t)), "_behind_polariser"
+    out |= {f"{name}{suffix}": value for name, value in radiance_figures(seen, target.rgb, inside).items()}
+    found = explained(seen[inside], target.rgb[inside], polarised, facts.get("noise") or 0.0)
+    named = {"likeness": found.likeness, "off": found.off, "polarisation_unexplained": found.polarisation}
+    return out | {name: value for name, value in named.items() if value is not None}
 
 
 def _material(table: Table, truth: Truth) -> None:

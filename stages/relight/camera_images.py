@@ -36,7 +36,7 @@ def relight_stage(run: StageRun) -> None:
                     irradiance=config.irradiance, specular_factor=config.specular_factor, up=up,
                 )  # fmt: skip
                 _write(run, path.stem, name + files.SUMMED, summed)
-                if "olat" in run.inputs:
+                if "olat" in run.inputs and (run.inputs["olat"] / name).is_dir():  # a camera that saw no object has no maps
                     shaded = relight_maps(run.inputs["olat"] / name, camera, radiance, up=up)
                     _write(run, path.stem, name, shaded)
                     inside = np.asarray(shaded.any(-1)) if mask is None else mask

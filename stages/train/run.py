@@ -20,7 +20,8 @@ from pipeline.engine.progress import Bar
 from pipeline.formats import dataset_files as files
 from pipeline.formats.gbuffer import write_gbuffer
 from pipeline.formats.images import write_exr
-from pipeline.geometry.lens import frames_folder
+from pipeline.geometry.lens import frame_table, frames_folder
+from pipeline.report.explained import FEWEST, doubts, explained
 
 from . import checkpoint, export
 from .initialise.points import read_points
@@ -33,6 +34,9 @@ from .views.data import SourceView, View, load_sources, prepare
 
 if TYPE_CHECKING:
     from pipeline.engine.stage import StageRun
+
+
+OTHER_ANGLE_DEG = 10.0  # from a trusted angle: filters are set to a degree, and the model bends what it fits by a few
 
 
 @dataclass
@@ -66,6 +70,7 @@ def train(stage: StageRun) -> None:
         finish_polarisers(trainer, stage)
     with torch.no_grad():
         write_results(trainer, start, sources, stage)
+        say_what_is_unexplained(trainer, start, sources, stage)
     write_log(stage.output / files.TRAIN_LOG, history.rows)
     stage.note("splats", len(trainer.scene.model))
     stage.note("iterations", trainer.iteration)
@@ -171,6 +176,14 @@ def finish_polarisers(trainer: Trainer, stage: StageRun) -> None:
     for name, fit in trainer.estimate_angles(0).items():
         k = bank.names.index(name)
         bank.std_deg[k] = 0.0 if bank.trusted[k] else float(np.degrees(fit.std))
+        if bank.trusted[k]:
+            told, found, std = (float(np.degrees(v)) for v in (bank.angles[k].detach(), fit.angle, fit.std))
+            apart = abs((found - told + 90) % 180 - 90)
+            if apart > max(OTHER_ANGLE_DEG, 4 * std):
+                stage.warn(
+                    f"polariser {name}: told {told % 180:.0f} degrees, but the pictures fit {found:.0f} ± {std:.0f}: check the "
+                    "angle and how it is counted (counter-clockwise from the image's x axis), or find it (trusted = false)"
+                )
     reason = bank.undetermined()
     if reason:
         stage.warn(f"the capture does not determine the polarisation: {reason}")
@@ -181,6 +194,32 @@ def whole_view(trainer: Trainer, start: Start, source: SourceView) -> tuple[View
     blank = replace(source, mask=np.ones_like(source.mask), valid=np.ones_like(source.valid))
     view = prepare(blank, start.frame, True, str(trainer.scene.model["position"].device))
     return view, trainer.render_whole(view)
+
+
+def say_what_is_unexplained(trainer: Trainer, start: Start, sources: list[SourceView], stage: StageRun) -> None:
+    """Hold the model against the test views; a line with the figure and the view where it is of the wrong kind."""
+    noise = {view: facts.get("noise") or 0.0 for view, facts in frame_table(stage.inputs).items()}
+    found = {}
+    for source in sources:
+        if source.split != "test":
+            continue
+        view = prepare(source, start.frame, False, str(trainer.scene.model["position"].device))
+        if len(view.pixels) < FEWEST:
+            continue
+        rendered = trainer.render_whole(view).stokes
+        model, target = rendered[:, 0], view.target[:, 0]
+        if trainer.mode == "polarisers" and trainer.scene.bank is not None:
+            model, target = trainer.scene.bank.intensity(rendered, view.camera.name), 2 * target
+        arrays = None
+        if trainer.mode == "stokes":
+            arrays = rendered[:, 1:].cpu().numpy(), view.target[:, 1:].cpu().numpy()
+        scale = start.frame.exposure * (2.0 if trainer.mode == "polarisers" else 1.0)
+        found[source.name] = explained(model.cpu().numpy(), target.cpu().numpy(), arrays, scale * noise.get(source.name, 0.0))
+    stage.note(
+        "explained", {view: {k: None if v is None else round(v, 4) for k, v in vars(f).items()} for view, f in found.items()}
+    )
+    for line in doubts(found):
+        stage.warn(line)
 
 
 def openings_share(trainer: Trainer) -> float:

@@ -17,7 +17,16 @@ from pipeline.report import pictures
 from pipeline.report.pictures import picture
 
 ERROR_FULL = 0.5  # difference over the mean of the frames' sum, at the bright end
-FLAG_COLOURS = ((24, 26, 30), (214, 158, 46), (197, 48, 48), (90, 90, 90), (49, 130, 206), (128, 90, 213))
+FLAG_COLOURS = (
+    (24, 26, 30),
+    (214, 158, 46),
+    (197, 48, 48),
+    (90, 90, 90),
+    (49, 130, 206),
+    (128, 90, 213),
+    (221, 107, 32),
+    (49, 151, 149),
+)
 
 
 def olat_cards(run: StageRun, metrics: dict[str, Any]) -> list[dict[str, Any]]:
@@ -65,7 +74,10 @@ def _maps(run: StageRun, folder: Path) -> list[dict[str, str]]:
     add(pictures.scale(one("residual"), 0, 0.5, mask=there), "residual", "relative RMS, 0 to 0.5")
     flag = np.clip(one("residual", "flag").round().astype(int), 0, len(FLAG_COLOURS) - 1)
     colours = np.array(FLAG_COLOURS, np.uint8)[flag] * there[..., None].astype(np.uint8)
-    add(colours, "flags", "yellow few lights, red saturated, blue no lobe, violet bad samples")
+    told = (
+        "yellow few lights, red saturated, blue no lobe, violet bad samples, orange facing away, teal peak outside the lights"
+    )
+    add(colours, "flags", told)
     return out
 
 
