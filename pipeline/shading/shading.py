@@ -10,8 +10,7 @@ import torch
 from pipeline.optics import fresnel as optics
 from pipeline.optics.stokes import surface_pattern
 
-from . import limits, splitsum
-from . import prefilter_kernels as kernels
+from . import limits, prefilter_kernels, splitsum
 from .prefilter import LightField
 
 FRESNELS = ("exact", "schlick")
@@ -84,7 +83,7 @@ def shade(
         from .lobe import mirrored
 
         given = mirrored(normal, view, roughness, ior, frame_x, frame_y, light, mirror)
-    return Shaded(*_Fused.apply(light, *arguments, light.packed, *blocked, *given))
+    return Shaded(*_FusedShading.apply(light, *arguments, light.packed, *blocked, *given))
 
 
 def plain(
@@ -134,7 +133,7 @@ def body_transmission(cosine: torch.Tensor, eta: torch.Tensor, fresnel: str) -> 
     """L_d / (albedo x received light) [P]: out of the body, and in relative to the level's IoR (physics.md 3)."""
     if fresnel == "schlick":
         return (1 - optics.schlick(cosine, eta)) / torch.pi
-    reference = torch.tensor(kernels.REFERENCE_IOR, dtype=eta.dtype, device=eta.device)
+    reference = torch.tensor(prefilter_kernels.REFERENCE_IOR, dtype=eta.dtype, device=eta.device)
     entering = optics.hemispherical_transmittance(eta) / optics.hemispherical_transmittance(reference)
     return optics.transmittance(cosine, eta) * entering / torch.pi
 
@@ -169,10 +168,10 @@ def clamp_keeping_gradient(x: torch.Tensor, low: float, high: float) -> torch.Te
     return x + (x.clamp(low, high) - x).detach()
 
 
-class _Fused(torch.autograd.Function):
+class _FusedShading(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, light: LightField, *tensors: torch.Tensor | None) -> tuple[torch.Tensor, ...]:
-        from . import shade_kernels as fused
+        from . import shade_kernels
 
         inputs = [torch.empty(0) if x is None else x.detach().contiguous() for x in tensors]
         # Absent occlusion and lobe: empty arrays of the right rank.
@@ -183,18 +182,18 @@ class _Fused(torch.autograd.Function):
         ctx.arrays, ctx.light, ctx.given = [x.numpy() for x in inputs], light, [x is not None for x in tensors]
         points = len(ctx.arrays[0])
         out = (torch.empty(points, 3, 3), torch.empty(points, 3), torch.empty(points, 3))
-        kernel: Any = fused.forward
+        kernel: Any = shade_kernels.forward
         kernel(*ctx.arrays[:8], *light.tables(), *ctx.arrays[8:], *(x.numpy() for x in out))
         return out
 
     @staticmethod
     def backward(ctx: Any, *gradients: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
-        from . import shade_kernels as fused
+        from . import shade_kernels
 
         a = ctx.arrays
-        tables = torch.zeros(fused.chunks(len(a[0])), *a[7].shape)
+        tables = torch.zeros(shade_kernels.chunks(len(a[0])), *a[7].shape)
         new = [torch.empty(x.shape) for x in (*a[:5], *a[8:])]
-        kernel: Any = fused.backward
+        kernel: Any = shade_kernels.backward
         kernel(
             *a[:8], *ctx.light.tables(), *a[8:], *(g.contiguous().numpy() for g in gradients),
             *(x.numpy() for x in new[:5]), tables.numpy(), *(x.numpy() for x in new[5:]),

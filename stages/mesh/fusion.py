@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from . import fusion_kernel as kernels
+from . import fusion_kernel
 from .gbuffer import DepthView
 
 BLOCK = 8  # voxels along a block's edge
@@ -90,7 +90,7 @@ class Volume:
         pose = (np.ascontiguousarray(c.world_to_camera), np.ascontiguousarray(c.centre))
         images = (np.ascontiguousarray(view.depth), np.ascontiguousarray(view.normal))
         state = (self._points, self._distance, self._weight)
-        kernels.integrate(*state, *images, *pose, *pinhole, self.truncation, grazing, FREE_WEIGHT)
+        fusion_kernel.integrate(*state, *images, *pose, *pinhole, self.truncation, grazing, FREE_WEIGHT)
 
     def extract(self, outward: float = 0.0) -> Any:
         """The surface at a distance `outward` from the zero crossing, as an Open3D tensor mesh (possibly empty)."""

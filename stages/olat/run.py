@@ -23,7 +23,7 @@ from pipeline.rig.solid_angles import solid_angles
 from stages.olat.maps.footprint import with_neighbours
 from stages.olat.maps.map_files import MapWriter
 from stages.olat.maps.preview import write_preview
-from stages.olat.pixel_fit.fit_options import SPECULAR_FITS, Settings
+from stages.olat.pixel_fit.fit_options import SPECULAR_FITS, FitOptions
 from stages.olat.pixel_fit.many_pixels import fit, load, ready
 from stages.olat.pixel_fit.result_layout import FLAG, RESIDUAL, columns
 from stages.olat.reading.frame_reader import Samples, ahead
@@ -106,10 +106,10 @@ def light_rig(index: dict[str, Any], step: int = 1) -> LightTable:
     return LightTable(directions, positions, intensity, area)
 
 
-def settings_of(parameters: OlatParameters, config: Any, saturation: float) -> Settings:
+def settings_of(parameters: OlatParameters, config: Any, saturation: float) -> FitOptions:
     """Kernel settings from the stage's parameters and the capture's [olat] facts."""
     lobe = LOBES["ward" if parameters.lobe == "auto" else parameters.lobe]
-    return Settings(
+    return FitOptions(
         lobe=lobe, rounds=8, robust=2, steps=15, tolerance=TOLERANCE[parameters.precision], saturation=saturation,
         specular_factor=config.specular_factor, irradiance=config.irradiance, gain=GAIN, mixed=MIXED,
         prior=PRIOR, plain=parameters.diffuse_fit == "active-set",
@@ -119,7 +119,7 @@ def settings_of(parameters: OlatParameters, config: Any, saturation: float) -> S
     )  # fmt: skip
 
 
-def choose_lobe(stage: StageRun, pilot: list[Piece], rig: LightTable, settings: Settings) -> Settings:
+def choose_lobe(stage: StageRun, pilot: list[Piece], rig: LightTable, settings: FitOptions) -> FitOptions:
     """Where the lobe is `auto`: Ward's or Beckmann's, by which leaves the smaller residual on more of the pilot's pixels."""
     parameters: OlatParameters = stage.parameters
     if parameters.lobe != "auto" or settings.gradient:
@@ -154,7 +154,7 @@ class Part:
 
 
 def fitted(
-    stage: StageRun, pieces: Iterator[Piece], rig: LightTable, settings: Settings, threads: int | None
+    stage: StageRun, pieces: Iterator[Piece], rig: LightTable, settings: FitOptions, threads: int | None
 ) -> Iterator[Part]:
     """Every piece, fitted in parts: one is finished and written while the next is fitted."""
     name, view = "", np.empty((0, 3))
@@ -170,7 +170,7 @@ def fitted(
             yield Part(piece, part, rows)
 
 
-def write_camera(stage: StageRun, job: CameraJob, parts: Iterator[Part], settings: Settings) -> None:
+def write_camera(stage: StageRun, job: CameraJob, parts: Iterator[Part], settings: FitOptions) -> None:
     """Finish and write the maps of one camera from its parts."""
     parameters: OlatParameters = stage.parameters
     surface = parameters.widths == "surface"
@@ -222,7 +222,7 @@ def say_shift(stage: StageRun, job: CameraJob, shift: tuple[int, int]) -> None:
 
 
 def fit_part(
-    stage: StageRun, job: CameraJob, samples: Samples, view: NDArray[np.float64], rig: LightTable, settings: Settings,
+    stage: StageRun, job: CameraJob, samples: Samples, view: NDArray[np.float64], rig: LightTable, settings: FitOptions,
     threads: int | None, part: tuple[int, int],
 ) -> NDArray[np.float64]:  # fmt: skip
     """Rows [last - first, WIDTH] of a band's pixels [first, last); view [P, 3]: unit, to the camera, of all of them."""

@@ -12,7 +12,7 @@ from pipeline.formats.images import read_mask, srgb_encode, write_exr, write_png
 from pipeline.geometry.cameras import camera_from_frame
 from pipeline.rig.relighting import relight_maps, relight_olat, relighting_error
 
-from .maps import RGB, read_map
+from .environment_map import RGB, read_map
 
 
 def relight_stage(run: StageRun) -> None:

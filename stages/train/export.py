@@ -14,9 +14,9 @@ from pipeline.formats.images import STOKES, write_exr, write_rgb
 
 from .render_view import Rendered
 from .splats.gaussians import SplatModel, to_numpy
-from .views.data import View
 from .views.polarisers import PolariserBank
 from .views.training_frame import SceneFrame
+from .views.view import View
 
 SH_C0 = 0.28209479177387814  # zeroth spherical harmonic: viewers show 0.5 + SH_C0 * f_dc
 

@@ -10,7 +10,7 @@ from pipeline.shading import LightField, Occlusion, Shaded, shade
 
 from .rasterize import Raster, rasterize
 from .splats.gaussians import Splats, unit
-from .views.data import View
+from .views.view import View
 
 BACK_FACING = 0.1  # cosine below which a splat has turned its outer side away: half of it reaches past the horizon
 SCREEN_FILTER = 2  # half of gsplat's low-pass filter, which widens every outline by a pixel: 0.5 to 1 degree of normal error

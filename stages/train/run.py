@@ -20,16 +20,20 @@ from pipeline.engine.progress import Bar
 from pipeline.geometry.lens import frames_folder
 
 from . import checkpoint, export
+from .angle_search import search_angles
 from .initialise.points import read_points
 from .parameters import TrainParameters
 from .render_view import mean_normals
 from .setup import NO_POINTS, Start, prepare_training
-from .trainer import CYCLE, Trainer
-from .views.angle_search import search_angles
-from .views.data import SourceView, View, load_sources, prepare
+from .trainer import Trainer
+from .upkeep import CYCLE
+from .views.source_views import SourceView, load_sources
+from .views.view import View, prepare
 
 if TYPE_CHECKING:
     from pipeline.engine.stage import StageRun
+
+NEW_SHARE = 0.02  # of the newest loss in the log's running means: they look back about 50 steps, an epoch of most captures
 
 
 @dataclass
@@ -66,7 +70,7 @@ def train(stage: StageRun) -> None:
     write_log(stage.output / "train_log.csv", history.rows)
     stage.note("splats", len(trainer.scene.model))
     stage.note("iterations", trainer.iteration)
-    stage.note("hollowed", [round(share, 4) for share in trainer.hollowed])
+    stage.note("hollowed", [round(share, 4) for share in trainer.upkeep.hollowed])
     stage.note("openings", round(openings_share(trainer), 5))
     checkpoint.clear(stage.scratch)
 
@@ -122,7 +126,7 @@ def advance(trainer: Trainer, history: History, bar: Bar) -> None:
     """One step, its losses into the running means, validation when it is due."""
     losses = trainer.step()
     for name, value in losses.items():
-        history.sums[name] = 0.98 * history.sums.get(name, value) + 0.02 * value
+        history.sums[name] = (1 - NEW_SHARE) * history.sums.get(name, value) + NEW_SHARE * value
     extra = ""
     if trainer.iteration % trainer.parameters.validate_steps == 0:
         psnr = trainer.validate()
@@ -177,7 +181,7 @@ def whole_view(trainer: Trainer, start: Start, source: SourceView) -> tuple[View
     """A view with every pixel that the model covers, whatever the masks say, and its rendering."""
     blank = replace(source, mask=np.ones_like(source.mask), valid=np.ones_like(source.valid))
     view = prepare(blank, start.frame, True, str(trainer.scene.model["position"].device))
-    return view, trainer.render_whole(view)
+    return view, trainer.renderer.render_whole(view)
 
 
 def openings_share(trainer: Trainer) -> float:
@@ -186,7 +190,7 @@ def openings_share(trainer: Trainer) -> float:
 
 
 def write_results(trainer: Trainer, start: Start, sources: list[SourceView], stage: StageRun) -> None:
-    """Everything that dataset.md lists for this stage, except the log."""
+    """Everything that docs/dataset.md lists for this stage, except the log."""
     output, frame = stage.output, start.frame
     (output / "test").mkdir(parents=True, exist_ok=True)
     (output / "gbuffer").mkdir(parents=True, exist_ok=True)
@@ -198,7 +202,7 @@ def write_results(trainer: Trainer, start: Start, sources: list[SourceView], sta
             kept = [name for name in channels if not name.startswith(("S", "diffuse", "specular"))]
             export.write_view(output / "gbuffer" / f"{source.name}.exr", {name: channels[name] for name in kept})
             if source.split == "test":
-                normals = mean_normals(trainer.scene.model.activated(), view, trainer.backend, openings)
+                normals = mean_normals(trainer.scene.model.activated(), view, trainer.renderer.backend, openings)
                 channels = export.with_normals(channels, normals, view, frame)
                 export.write_view(output / "test" / f"{source.name}.exr", channels)
             bar.advance()

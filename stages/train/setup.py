@@ -17,23 +17,21 @@ from .initialise.silhouettes import are_masks, outline
 from .initialise.start import start_surface
 from .log_environment import Environment
 from .parameters import TrainParameters
+from .scene import Scene
 from .splats.gaussians import SplatModel, logit
-from .trainer import Scene
-from .views.data import (
+from .views.opening_pixels import has_openings, hole_coverage
+from .views.polarisers import PolariserBank
+from .views.source_views import (
     Mode,
     SourceView,
-    View,
     background_is_black,
     edge_offset,
     exposure_of,
     halved,
-    has_openings,
-    openness,
-    prepare,
     with_validation,
 )
-from .views.polarisers import PolariserBank
 from .views.training_frame import SceneFrame
+from .views.view import View, prepare
 
 START_ALBEDO, START_ROUGHNESS, START_IOR = 0.35, 0.35, 1.5  # an everyday dielectric
 MEAN_EXPOSED = 0.25  # mean foreground radiance in the training exposure
@@ -116,7 +114,7 @@ def prepare_training(
 
 def _with_openings(hull: HullMesh, seen: list[SourceView], frame: SceneFrame, pixel: float, offset: float | None) -> HullMesh:
     """The hull (training frame) with its openings cut; `offset` of the masks, or None where it is not their hull."""
-    views = [OpeningView(frame.camera(s.camera), openness(s, frame.exposure)) for s in seen]
+    views = [OpeningView(frame.camera(s.camera), hole_coverage(s, frame.exposure)) for s in seen]
     silhouettes = [Silhouette(view.camera, s.mask) for view, s in zip(views, seen) if (s.mask > 0.5).any()]
     if offset is None:
         return cut_openings(hull, views, pixel) or hull

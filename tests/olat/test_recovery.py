@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks.olat_pixels import Pixels, angle_deg, beckmann, make, rig_of, unit
-from stages.olat.pixel_fit.fit_options import Settings
+from stages.olat.pixel_fit.fit_options import FitOptions
 from stages.olat.pixel_fit.many_pixels import fit
 from stages.olat.pixel_fit.result_layout import FLAG, columns
 from stages.olat.run import GAIN, MIXED, PRIOR
@@ -12,7 +12,7 @@ from stages.olat.run import GAIN, MIXED, PRIOR
 pytestmark = pytest.mark.slow  # the kernels' first compilation takes most of a minute
 
 AT = columns()
-DEFAULT = Settings(
+DEFAULT = FitOptions(
     lobe=0, rounds=8, robust=2, steps=15, tolerance=3e-6, saturation=np.inf, specular_factor=2.0, irradiance=np.pi, gain=GAIN,
     mixed=MIXED, prior=PRIOR, plain=False, specular_fit=0, fuse_correlation=False,
     printed_maps=False, remove=False, gradient=False,

@@ -15,7 +15,7 @@ from pipeline.errors import UserError
 from pipeline.formats.images import read_image, read_stokes, write_exr, write_mask, write_rgb
 from pipeline.geometry.cameras import Camera, camera_from_opengl, save_cameras
 from pipeline.rig.latlong_lights import Y_UP_FROM
-from stages.relight.maps import read_map
+from stages.relight.environment_map import read_map
 from stages.relight.stage import RelightParameters, needed
 from stages.relight.stage import run as run_stage
 from synth.environments import meadow

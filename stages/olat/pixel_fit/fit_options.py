@@ -17,7 +17,7 @@ SPECULAR_FITS = {"joint": JOINT, "half-vector": HALF_VECTOR, "correlation": CORR
 ROUND = 0.03  # anisotropy below which a lobe counts as round
 
 
-class Settings(NamedTuple):
+class FitOptions(NamedTuple):
     """What the kernels need to know about a capture and how to fit it."""
 
     lobe: int

@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numba import njit
 
-from pipeline.kernels import scratch as stack
+from pipeline.kernels import scratch
 from pipeline.kernels.numerics import FAST, ONE, ZERO, cholesky_solve, copy1, copy2
 from pipeline.rig.lobes import normal_equations
 
@@ -169,10 +169,10 @@ def optimise(lobe, frame, shape, rho, o, h, i, light, floor, weight, isotropic, 
     light, floor, weight [N]: samples, lower bounds, weights; isotropic: A = B and C = 0; prior: stiffness (in units of the
     weighted square residual) that holds n to `n_d`. Returns (cost over the data's square norm, gradient norm, passes).
     """
-    matrix, gradient = stack.matrix(6, 6), stack.vector(6)
-    matrix2, gradient2 = stack.matrix(6, 6), stack.vector(6)
-    system, step = stack.matrix(6, 6), stack.vector(6)
-    frame2, shape2 = stack.matrix(3, 3), stack.vector(3)
+    matrix, gradient = scratch.matrix(6, 6), scratch.vector(6)
+    matrix2, gradient2 = scratch.matrix(6, 6), scratch.vector(6)
+    system, step = scratch.matrix(6, 6), scratch.vector(6)
+    frame2, shape2 = scratch.matrix(3, 3), scratch.vector(3)
     size = weighted_square(light, weight)
     if not size > 0:
         return 0.0, 0.0, 0

@@ -11,9 +11,9 @@ from scipy import ndimage
 from pipeline.geometry.cameras import Camera
 from pipeline.shading import Occlusion
 
-from ..views.data import View
 from ..views.losses import GAMMA, TOE
 from ..views.polarisers import PolariserBank
+from ..views.view import View
 
 BLUR = 0.8  # pixels: takes the single pixel's noise away and keeps what a pixel's shift changes
 MOST_VIEWS = 48  # evenly chosen from more: every further view costs time and says little

@@ -38,7 +38,7 @@ class OpeningView:
     """A view's camera and how far each of its pixels looks into an opening: 0 not at all .. 1 wholly [H, W]."""
 
     camera: Camera
-    openness: NDArray[np.float64]
+    hole_coverage: NDArray[np.float64]
 
 
 def cut_openings(mesh: HullMesh, views: Sequence[OpeningView], pixel: float, solid: Field | None = None) -> HullMesh | None:
@@ -108,7 +108,7 @@ class _Rays:
         vertices = self.tensor(mesh.vertices.astype(np.float32))
         self.scene.add_triangles(vertices, self.tensor(mesh.triangles.astype(np.uint32)))
         self.views = views
-        self.distances = [signed_distance(v.openness, blur=0.35) for v in views]
+        self.distances = [signed_distance(v.hole_coverage, blur=0.35) for v in views]
         self.pixel = pixel
 
     def inside(self, points: np.ndarray) -> np.ndarray:

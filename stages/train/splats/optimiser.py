@@ -29,7 +29,7 @@ def adam_update(
 
 
 @dataclass(frozen=True)
-class Group:
+class StepRule:
     """How one tensor is stepped: base learning rate, and diffusion rounds of its update over the surface graph."""
 
     rate: float
@@ -44,8 +44,8 @@ class SurfaceAdam:
     gradient vanishes.
     """
 
-    def __init__(self, groups: dict[str, Group]) -> None:
-        self.groups = groups
+    def __init__(self, rules: dict[str, StepRule]) -> None:
+        self.rules = rules
         self.first: dict[str, torch.Tensor] = {}
         self.second: dict[str, torch.Tensor] = {}
         self.steps: dict[str, int] = {}
@@ -60,9 +60,9 @@ class SurfaceAdam:
     ) -> None:
         """One update of every tensor that has a gradient; gradients are cleared. A non-finite gradient entry counts as 0."""
         for name, tensor in tensors.items():
-            if tensor.grad is None or name not in self.groups:
+            if tensor.grad is None or name not in self.rules:
                 continue
-            group = self.groups[name]
+            rule = self.rules[name]
             gradient = torch.nan_to_num(tensor.grad, nan=0.0, posinf=0.0, neginf=0.0)
             tensor.grad = None
             if name not in self.first or self.first[name].shape != tensor.shape:
@@ -70,13 +70,13 @@ class SurfaceAdam:
                 self.second[name] = torch.zeros_like(tensor)
                 self.steps[name] = 0
             self.steps[name] += 1
-            together = bool(group.diffusion) and gradient.ndim > 1
+            together = bool(rule.diffusion) and gradient.ndim > 1
             update = adam_update(self.first[name], self.second[name], gradient, self.steps[name], together)
-            rounds = round(group.diffusion * diffusion_scale)
+            rounds = round(rule.diffusion * diffusion_scale)
             if rounds and graph is not None and update.shape[0] == len(graph):
                 flat = update.reshape(len(update), -1)
                 update = graph.diffuse(flat, rounds).reshape(update.shape)
-            tensor.sub_(group.rate * rate_scale.get(name, rate_scale[""]) * update)
+            tensor.sub_(rule.rate * rate_scale.get(name, rate_scale[""]) * update)
 
     def select(self, names: tuple[str, ...], rows: torch.Tensor) -> None:
         """Keep these rows of the moments of per-splat tensors (the same rows that the model keeps)."""

@@ -16,13 +16,14 @@ import numpy as np
 from pipeline.capture.model import PolariserPrior
 from pipeline.engine.progress import Progress
 
-from ..log_environment import Environment
-from ..parameters import TrainParameters
-from ..setup import MEAN_EXPOSED, NO_POINTS, START_ALBEDO, Start, prepare_training
-from ..splats.gaussians import SplatModel
-from ..trainer import Scene, Trainer
-from .data import SourceView
-from .polarisers import PolariserBank
+from .log_environment import Environment
+from .parameters import TrainParameters
+from .scene import Scene
+from .setup import MEAN_EXPOSED, NO_POINTS, START_ALBEDO, Start, prepare_training
+from .splats.gaussians import SplatModel
+from .trainer import Trainer
+from .views.polarisers import PolariserBank
+from .views.source_views import SourceView
 
 SPACING_DEG = 45.0  # between starts: every angle is within 22.5 degrees of one, where cos 2t keeps its sign
 MOST_STARTS = 24  # for three polarisers or more, spread at random
