@@ -22,7 +22,7 @@ from pipeline.kernels.cache import folder, sources
 Kernel = Callable[..., None]
 KINDS = {"int64": ctypes.c_int64, "pointer": ctypes.c_void_p}
 UNREACHED = ("NRT_MemInfo_call_dtor",)
-"""Of numba's runtime: what frees an array, which kernels without arrays of their own name and never reach."""
+"""Symbols of numba's runtime that kernels without allocations reference but never call: the destructor of an array."""
 UNRELATED = ("NUMBA_CACHE_DIR", "NUMBA_NUM_THREADS", "NUMBA_THREADING_LAYER")
 """Settings of numba that leave machine code as it is."""
 _loaded: dict[str, tuple[Kernel, Any]] = {}

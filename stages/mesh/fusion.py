@@ -18,7 +18,7 @@ from .gbuffer import DepthView
 
 BLOCK = 8  # voxels along a block's edge
 FREE_WEIGHT = 0.5  # of a ray that misses the object, against a surface seen squarely
-SAMPLED = 20_000  # points of a view that its extent is told from
+SAMPLED = 20_000  # points of a view from which its extent is taken
 LEAST_WEIGHT = 0.02  # a voxel seen only at grazing angles by one view says too little
 
 

@@ -1,7 +1,7 @@
 """Which way unknown polarisers stand: short, small trainings from many starts, the worse ones dropped on the way.
 
 The loss has a wrong basin for most starts (the model explains the contrast by bent normals and tinted light), and the
-right one is told from it within a hundred steps: its loss is a tenth lower.
+right one differs from it within a hundred steps: its loss is a tenth lower.
 """
 
 from __future__ import annotations

@@ -128,7 +128,7 @@ def test_splats_on_untouched_ground_survive_a_refit_bit_for_bit():
     field = DepthField(samples, np.where(samples[:, 2] > 0.8, 0.2, 0.0))
     hollow = hollowed(mesh, field, 64)
     assert hollow is not None
-    new = refit(model, adam, field, hollow, spacing=0.09, room=1600, seed=0)
+    new = refit(model, adam, field, hollow, spacing=0.09, most=1600, seed=0)
     assert new is not None
     kept = len(model) - new
     assert new > 20 and len(model) <= 1600

@@ -60,7 +60,7 @@ HALO = {"mono": 8, "bayer": 20}
 
 
 def carries(order: Sequence[float]) -> bool:
-    """Whether the crossed polarisers of a cell share its diagonals, calibrated angles included, and the two pairs differ."""
+    """True if both diagonals of the 2x2 cell hold polarisers 90 degrees apart (within CROSSED_DEG) and the pairs differ."""
     crossed = all(abs((order[a] - order[b]) % 180 - 90) < CROSSED_DEG for a, b in ((0, 3), (1, 2)))
     return crossed and 10 < (order[0] - order[1]) % 90 < 80
 
@@ -78,7 +78,8 @@ def _basis(order: tuple[float, ...], extinction: float | None) -> tuple[np.float
 
 @dataclass(frozen=True)
 class _Cells:
-    """Of a tile of cells: which colour each has in a 2x2 block of them, and one over its share of the chroma window."""
+    """Per-tile constants: the Bayer colour index of each cell of a 2x2 block, 1 / (share of CHROMA_WINDOW that a colour covers)
+    [3, H, W], and the inverse of MIXTURE."""
 
     bayer: NDArray[np.int64]
     over_share: Plane

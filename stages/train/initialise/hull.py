@@ -13,7 +13,7 @@ from pipeline.geometry.cameras import Camera
 
 from .points import PointSurface
 
-JUDGES = 0.5  # share of the views that must have a point in frame: a hull seen by less is the views' blind spot
+MIN_VIEW_FRACTION = 0.5  # points outside the frame of more than this share of the views are treated as empty
 SMALLEST_PART = 0.02  # parts with less than this share of the largest part's volume are carving debris
 
 
@@ -101,7 +101,7 @@ def occupancy(
         length[seen] = value * (z[seen] / (0.5 * (s.camera.fx + s.camera.fy))).astype(np.float32)
         worst = np.sort(np.concatenate([worst, length[None]]), 0)[: outvoted + 1] if outvoted else np.minimum(worst, length)
     far = max(float(np.abs(worst[np.isfinite(worst)]).max()) if np.isfinite(worst).any() else 1.0, 1e-30)
-    judged = judges >= max(2, JUDGES * len(silhouettes))
+    judged = judges >= max(2, MIN_VIEW_FRACTION * len(silhouettes))
     return np.where(judged & np.isfinite(worst[-1]), worst[-1], -far).astype(np.float32)
 
 

@@ -18,6 +18,7 @@ COVERED, EMPTY = 0.99, 0.01  # mask values from which a pixel is wholly the obje
 # masks round by 0.002, and resampled ones ring by a little more
 EDGE_WEIGHT = 0.25  # of a mask's edge pixels in L_mask on a bright background, where the mask alone tells the outline
 
+
 @dataclass(frozen=True)
 class View:
     """One view ready for training, all in the training frame. P = pixels whose colour counts ("counting pixels").
