@@ -13,7 +13,7 @@ from array_api_compat import array_namespace
 
 Array = Any
 
-# PhyGaP's and the dataset contract's smallest perceptual roughness: alpha = 0.0064, a lobe about 1 degree
+# PhyGaP's smallest perceptual roughness: alpha = 0.0064, a lobe about 1 degree
 # wide.
 MIN_ROUGHNESS = 0.08
 

@@ -34,7 +34,7 @@ class Shaded:
 
 @dataclass(frozen=True)
 class Occlusion:
-    """What the object itself takes from and adds to the light at P points; see `visibility` and `gridmap`.
+    """What the object itself takes from and adds to the light at P points; see `transfer` and `gridmap`.
 
     irradiance' = shadow * irradiance + bounced, mirrored' = unblocked * mirrored + seen.
     """
@@ -130,7 +130,7 @@ def plain(
 
 
 def body_transmission(cosine: torch.Tensor, eta: torch.Tensor, fresnel: str) -> torch.Tensor:
-    """L_d / (albedo x received light) [P]: out of the body, and in relative to the level's IoR (physics.md 3)."""
+    """L_d / (albedo x received light) [P]: out of the body, and in relative to the level's IoR (docs/physics.md, Shading)."""
     if fresnel == "schlick":
         return (1 - optics.schlick(cosine, eta)) / torch.pi
     reference = torch.tensor(prefilter_kernels.REFERENCE_IOR, dtype=eta.dtype, device=eta.device)

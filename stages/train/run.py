@@ -174,7 +174,7 @@ def finish_polarisers(trainer: Trainer, stage: StageRun) -> None:
         bank.std_deg[k] = 0.0 if bank.trusted[k] else float(np.degrees(fit.std))
     reason = bank.undetermined()
     if reason:
-        stage.warn(f"the capture does not determine the polarisation: {reason}")
+        stage.warn(f"the capture does not determine the polarisation: {reason}; check [polarisers] in capture.toml")
 
 
 def whole_view(trainer: Trainer, start: Start, source: SourceView) -> tuple[View, Any]:
