@@ -61,11 +61,27 @@ def shade(
 ) -> Shaded:
     """Stokes vectors of P points under a prefiltered environment; differentiable in all but the frame.
 
-    fresnel: "exact" transmits light into and out of the body (Baek et al.'s polarised plastic) and integrates
-    Fresnel's equations over the lobe; "schlick" is PhyGaP Eq. 20, (1 - F_schlick) albedo/pi E, with F0 tau0 + tau1.
-    mirror: "split" sum, or "lobe-4" to "lobe-48" facets (exact Fresnel only): see `lobe`; dearer and better,
-    above all at grazing view and under lamps.
     Values outside `limits` are clamped, their gradient kept. float32 on the CPU runs a fused kernel ("exact" only).
+
+    Args:
+        normal: unit, world. [P, 3]
+        view: unit, world, towards the camera. [P, 3]
+        albedo: diffuse reflectance, linear RGB, 0..1. [P, 3]
+        roughness: perceptual, alpha = roughness^2. [P]
+        ior: index of refraction, from 1. [P]
+        frame_x, frame_y: the pixel's Stokes axes, unit, world (`Camera.stokes_frame`). [P, 3]
+        light: the environment (`Prefilter.apply`).
+        occlusion: what the object takes from and adds to that light; None: nothing.
+        fresnel: "exact" transmits light into and out of the body (Baek et al. 2018, polarised plastic) and integrates
+            Fresnel's equations over the lobe; "schlick" is PhyGaP Eq. 20, (1 - F_schlick) albedo/pi E, with F0 tau0 + tau1.
+        mirror: "split" sum, or "lobe-4" to "lobe-48" facets (exact Fresnel only): see `lobe`; dearer and better,
+            above all at grazing view and under lamps.
+
+    Returns:
+        Radiance towards the camera in the light's units, as Stokes vectors and as diffuse and specular parts.
+
+    Raises:
+        ValueError: an unknown name, or facets with Schlick.
     """
     if fresnel not in FRESNELS:
         raise ValueError(f"fresnel {fresnel!r}: must be one of {', '.join(FRESNELS)}")
@@ -130,7 +146,10 @@ def plain(
 
 
 def body_transmission(cosine: torch.Tensor, eta: torch.Tensor, fresnel: str) -> torch.Tensor:
-    """L_d / (albedo x received light) [P]: out of the body, and in relative to the level's IoR (docs/physics.md, Shading)."""
+    """L_d / (albedo x received light) [P]: out of the body, and in relative to the level's IoR (docs/physics.md, Shading).
+
+    cosine [P] of the view with the normal, in (0, 1]; eta [P]; fresnel: "exact" or "schlick".
+    """
     if fresnel == "schlick":
         return (1 - optics.schlick(cosine, eta)) / torch.pi
     reference = torch.tensor(prefilter_kernels.REFERENCE_IOR, dtype=eta.dtype, device=eta.device)
@@ -148,7 +167,18 @@ def mirror_reflection(
     lobe: str,
     fresnel: str,
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """(albedo of the rough mirror [P], its polarisation over sin^2 [P]): see `splitsum`."""
+    """Albedo of the rough mirror, and its polarisation over sin^2, by the tables of `splitsum`.
+
+    Args:
+        normal, frame_x, frame_y: as in `shade`. [P, 3]
+        cosine: of the view with the normal, in (0, 1]. [P]
+        roughness, eta: inside `limits`. [P]
+        lobe: "ggx" or "beckmann".
+        fresnel: "exact" or "schlick".
+
+    Returns:
+        (albedo [P] in 0..1, beta / sin^2 [P] >= 0).
+    """
     where = (roughness * (splitsum.ROUGHNESS_NODES - 1), cosine.sqrt() * (splitsum.COSINE_NODES - 1))
     table = splitsum.exact_table if fresnel == "exact" else splitsum.schlick_table
     values = torch.as_tensor(table(lobe), dtype=cosine.dtype, device=cosine.device)

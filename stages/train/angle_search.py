@@ -69,7 +69,18 @@ def search_angles(
     progress: Progress,
     points: np.ndarray = NO_POINTS,
 ) -> dict[str, float]:
-    """Best angles (degrees) of the unknown polarisers."""
+    """Start angles of polarisers of which nothing is known, by short trainings from a grid of angles.
+
+    Args:
+        sources: the views, as loaded.
+        priors: what is known of each camera's polariser.
+        unknown: names of the cameras whose angle is sought.
+        up, parameters, points: as in `prepare_training`.
+        progress: where the bar is shown.
+
+    Returns:
+        Angle by name (degrees, 0..180).
+    """
     small = replace(parameters, **SMALL)  # type: ignore[arg-type]
     start = prepare_training(sources, "polarisers", priors, up, small, "cpu", points, cut=False)
     candidates = [Candidate(angles, _trainer(start, priors, angles, small)) for angles in starts(unknown, parameters.seed)]

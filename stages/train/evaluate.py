@@ -35,7 +35,10 @@ def psnr(predicted: torch.Tensor, target: torch.Tensor, exposure: float) -> floa
 
 @torch.no_grad()
 def validation_psnr(renderer: Renderer, views: Sequence[View], mode: Mode, exposure: float) -> float:
-    """Mean PSNR (dB) inside the masks of the validation views; of two training views where none are held back."""
+    """Mean `psnr` (dB) inside the masks of the validation views; of two training views where none are held back.
+
+    renderer: of the scene; views: at full size; mode: what they hold; exposure: training over capture radiance.
+    """
     showing = [v for v in views if v.inside.any()]
     judges = [v for v in showing if v.split == "validation"]
     judges = judges or [v for v in showing if v.split == "train"][:2]

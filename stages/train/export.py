@@ -86,7 +86,9 @@ def write_view(path: Path, channels: Mapping[str, np.ndarray]) -> None:
 
 
 def write_gaussians(path: Path, model: SplatModel, frame: SceneFrame) -> None:
-    """gaussians.ply as 3DGS and 2DGS viewers read it: raw opacity (logit), log scales, wxyz quaternions; in the world.
+    """Write gaussians.ply as 3DGS and 2DGS viewers read it: raw opacity (logit), log scales, wxyz quaternions.
+
+    path: the file; model: in the training frame; frame: the way back to the capture's world.
 
     A third, very small scale makes viewers that know only 3D Gaussians show discs.
     """

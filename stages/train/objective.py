@@ -20,7 +20,17 @@ ENVIRONMENT_UNIT = 0.002  # per unit of train.weight_environment: a log step bet
 
 
 def compared(mode: Mode, scene: Scene, stokes: torch.Tensor, view: View) -> tuple[torch.Tensor, torch.Tensor]:
-    """(predicted, measured) radiance [P, 3] of a rendering [P, 3, 3]: s0, or behind a polariser twice its intensity."""
+    """What a camera measures, from a rendering and from the capture.
+
+    Args:
+        mode: what the views hold; only "polarisers" looks through the camera's polariser.
+        scene: for its polarisers.
+        stokes: rendered radiance. [P, 3, 3]
+        view: its camera names the polariser.
+
+    Returns:
+        (predicted, measured) [P, 3]: s0, or twice the intensity behind the polariser (PhyGaP Eqs. 31, 32).
+    """
     if mode == "polarisers" and scene.bank is not None:
         return scene.bank.intensity(stokes, view.camera.name), 2 * view.target[:, 0]
     return stokes[:, 0], view.target[:, 0]
@@ -29,7 +39,17 @@ def compared(mode: Mode, scene: Scene, stokes: torch.Tensor, view: View) -> tupl
 def loss_terms(
     parameters: TrainParameters, mode: Mode, scene: Scene, view: View, rendered: Rendered
 ) -> tuple[dict[str, torch.Tensor], dict[str, float]]:
-    """All weighted losses of a view by name (their sum is the step's), and the parts of "surface" as numbers."""
+    """All weighted losses of a view (PhyGaP Eq. 10, and the environment's smoothness).
+
+    Args:
+        parameters: weights.
+        mode: what the views hold.
+        scene: model, environment, polarisers and surface graph.
+        view, rendered: what was measured, and the scene's rendering of it.
+
+    Returns:
+        Scalars by name, whose sum is the step's loss, and the parts of "surface" as plain numbers.
+    """
     terms = _image_terms(parameters, mode, scene, view, rendered)
     mask = losses.mask_loss(rendered.gbuffer.alpha_image, view.alpha_target, view.alpha_weight)
     terms["mask"] = parameters.weight_mask * mask

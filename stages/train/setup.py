@@ -72,7 +72,18 @@ def prepare_training(
 ) -> Start:
     """Hull, splats, environment, polarisers and views in the training frame. Test views enter nowhere here.
 
-    `points` [N, 3]: the poses stage's sparse points, if any, in the capture's world. `cut`: cut openings out of the start.
+    Args:
+        sources: every view, as loaded.
+        mode: what the views hold.
+        priors: what is known of each camera's polariser.
+        up: the capture's up axis ("y", "-y", ...).
+        parameters: the stage's.
+        device: torch device of the tensors.
+        points: the poses stage's sparse points, if any, in the capture's world. [N, 3]
+        cut: cut openings out of the start.
+
+    Raises:
+        UserError: masks or cameras that no surface can be made of.
     """
     sources = with_validation(sources, parameters.validation_every)
     seen = [s for s in sources if s.split != "test"]

@@ -34,7 +34,10 @@ class Shading:
 
 @torch.no_grad()
 def shading_tables(splats: Splats, light: LightField, fresnel: str) -> Shading:
-    """Tables for the median material; the residuals that matter here are far above what its variation makes."""
+    """Tables for the splats' median material under a light; `fresnel` is "exact" or "schlick".
+
+    The residuals that matter here are far above what the material's variation makes.
+    """
     device = splats.means.device
     roughness, ior = splats.roughness.median(), splats.ior.median()
     directions = torch.as_tensor(octahedral_directions(TABLE).reshape(-1, 3), device=device)

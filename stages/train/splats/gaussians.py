@@ -49,7 +49,10 @@ class SplatModel:
 
     @classmethod
     def from_samples(cls, samples: SurfaceSamples, albedo: float, roughness: float, ior: float, device: str) -> SplatModel:
-        """Discs on the sampled surface: scale 0.75 of the spacing (the coverage at a gap's middle is then above 0.98)."""
+        """Discs on the sampled surface, half a spacing in sigma, all of one material.
+
+        samples: positions, normals and spacing; albedo, roughness, ior: start values; device: of the tensors.
+        """
         normal = torch.as_tensor(samples.normals, dtype=torch.float32)
         count = len(normal)
         tensors = {

@@ -18,7 +18,8 @@ def adam_update(
 ) -> torch.Tensor:
     """Adam's step for a unit learning rate (Kingma and Ba 2015, Alg. 1); updates both moments in place.
 
-    `steps` counts this one. `together`: rows share one step length, which keeps the direction of vectors.
+    first, second: moments, shaped like the gradient. `steps` counts this one. `together`: rows share one step length,
+    which keeps the direction of vectors.
     """
     first.lerp_(gradient, 1 - BETA1)
     second.mul_(BETA2).addcmul_(gradient, gradient, value=1 - BETA2)
@@ -58,7 +59,14 @@ class SurfaceAdam:
         graph: SurfaceGraph | None,
         diffusion_scale: float = 1.0,
     ) -> None:
-        """One update of every tensor that has a gradient; gradients are cleared. A non-finite gradient entry counts as 0."""
+        """One update of every tensor that has a gradient, in place; gradients are cleared.
+
+        Args:
+            tensors: by name of its rule; a non-finite gradient entry counts as 0.
+            rate_scale: factor of each rule's rate by name, "" for the others.
+            graph: over which updates of per-splat tensors are diffused; None: they are not.
+            diffusion_scale: factor of the rules' diffusion rounds.
+        """
         for name, tensor in tensors.items():
             if tensor.grad is None or name not in self.rules:
                 continue

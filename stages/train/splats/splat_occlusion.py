@@ -89,7 +89,16 @@ class SplatOcclusion:
 def trace_splats(
     occluder: CarriedHull, splats: Splats, light: LightField, graph: SurfaceGraph, seed: int, fresnel: str
 ) -> SplatOcclusion:
-    """Shadow and one diffuse-and-specular bounce at every splat, under the current light and material."""
+    """Shadow and one diffuse-and-specular bounce at every splat, under the current light and material.
+
+    Args:
+        occluder: the object as rays see it.
+        splats: N Gaussians; no gradient is taken.
+        light: prefiltered environment.
+        graph: over which the traced values are smoothed, and whose spacing lifts the rays off the surface.
+        seed: of each splat's turn of the ray pattern.
+        fresnel: "exact" or "schlick".
+    """
     normals = splats.normals.detach().cpu().numpy().astype(np.float32)
     origins = splats.means.detach().cpu().numpy().astype(np.float32) + LIFT * graph.spacing * normals
     turn = np.random.default_rng(seed).random(len(normals)).astype(np.float32) * 2 * np.pi
@@ -162,7 +171,17 @@ def trace_pixels(
     seed: int,
     fresnel: str,
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Share of the reflection lobe that leaves the object [P], and the object's radiance in the rest of it [P, 3]."""
+    """The reflection lobe of P pixels, sampled by LOBE_RAYS rays each.
+
+    Args:
+        occluder, splats, light, seed, fresnel: as in `trace_splats`.
+        points, normals, view_direction: on the surface, unit, unit and towards the camera; training frame. [P, 3]
+        roughness: perceptual. [P]
+        spacing: mean distance between neighbouring splats.
+
+    Returns:
+        Share of the lobe that leaves the object [P], and the object's mean radiance over the lobe, 0 where a ray leaves [P, 3].
+    """
     device = splats.means.device
     rng = np.random.default_rng(seed)
     count = len(points)
@@ -187,7 +206,7 @@ def trace_pixels(
 
 
 def view_occlusion(shadow: torch.Tensor, bounced: torch.Tensor, unblocked: torch.Tensor, seen: torch.Tensor) -> Occlusion:
-    """The four terms [P, 3], [P, 3], [P], [P, 3] as shading takes them."""
+    """The four terms, shadow [P, 3], bounced [P, 3], unblocked [P] and seen [P, 3], as shading takes them."""
     return Occlusion(shadow=shadow, bounced=bounced, unblocked=unblocked, seen=seen)
 
 

@@ -34,7 +34,17 @@ class SourceView:
 
 
 def load_sources(decode: Path, poses: Path, masks: Path | None, polarisation: str) -> tuple[list[SourceView], Mode]:
-    """Every decoded view that has a camera, sorted by name. Raises UserError on what cannot be trained."""
+    """Every decoded view that has a camera, sorted by name, and what the views hold.
+
+    Args:
+        decode: folder with frames.json and frames/ (`pipeline.geometry.lens.frames_folder`).
+        poses: folder with cameras.json.
+        masks: folder with VIEW.png; None: the object fills every view.
+        polarisation: "auto", or what of the data to use.
+
+    Raises:
+        UserError: too few views, a mask of another size, or data that do not hold what is asked for.
+    """
     index_path = decode / "frames.json"
     index = json.loads(index_path.read_text())
     cameras = load_cameras(poses / "cameras.json")
