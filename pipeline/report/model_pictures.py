@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -102,8 +103,19 @@ def _view_pictures(run: StageRun, view: str) -> list[dict[str, str]]:
     if measured_stokes is not None and same:
         add(pictures.angles(angle, degree / AOLP_FULL * (inside > 0.5)), "AoLP", "measured")
     add(pictures.angles(angle_fit, degree_fit / AOLP_FULL * solid), "AoLP", "model")
+    _add_surface(add, channels, solid, find_truth(run.capture.root, "normal", view, names), gain)
+    return out
+
+
+def _add_surface(
+    add: Callable[[NDArray[np.uint8], str, str], None],
+    channels: Mapping[str, NDArray],
+    solid: NDArray[np.bool_],
+    truth: Path | None,
+    gain: float,
+) -> None:
+    """Pictures of what the model's surface is: normals beside their truth (a file), material, diffuse and specular parts."""
     normal = np.stack([channels[f"N.{c}"] for c in "XYZ"], -1)
-    truth = find_truth(run.capture.root, "normal", view, names)
     if truth:
         true = read_image(truth, XYZ)
         add(pictures.normals(true), "normals", "truth")
@@ -120,7 +132,6 @@ def _view_pictures(run: StageRun, view: str) -> list[dict[str, str]]:
     add(pictures.radiance(rgb[2], gain), "specular", "part of s0")
     add(pictures.scale(channels["roughness"], 0, 1, pictures.VIRIDIS, solid), "roughness", "perceptual, 0 to 1")
     add(pictures.scale(channels["ior"], 1.3, 2.3, pictures.VIRIDIS, solid), "IoR", "1.3 to 2.3")
-    return out
 
 
 def environment_pictures(run: StageRun) -> list[dict[str, str]]:

@@ -91,6 +91,11 @@ def shade(
     fast = fresnel == "exact" and all(x.device.type == "cpu" and x.dtype == torch.float32 for x in (*arguments, light.packed))
     if not fast:
         return plain(*arguments, light, occlusion=occlusion, fresnel=fresnel, mirror=mirror)
+    return _fused(arguments, light, occlusion, mirror)
+
+
+def _fused(arguments: tuple[torch.Tensor, ...], light: LightField, occlusion: Occlusion | None, mirror: str) -> Shaded:
+    """`shade` of (normal, view, albedo, roughness, ior, frame_x, frame_y) by the fused kernel."""
     blocked = (None,) * 4 if occlusion is None else (
         occlusion.shadow, occlusion.bounced, occlusion.unblocked, occlusion.seen
     )  # fmt: skip
@@ -98,6 +103,7 @@ def shade(
     if mirror != "split":
         from .lobe import mirrored
 
+        normal, view, _, roughness, ior, frame_x, frame_y = arguments
         given = mirrored(normal, view, roughness, ior, frame_x, frame_y, light, mirror)
     return Shaded(*_FusedShading.apply(light, *arguments, light.packed, *blocked, *given))
 

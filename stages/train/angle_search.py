@@ -16,10 +16,9 @@ import numpy as np
 from pipeline.capture.model import PolariserPrior
 from pipeline.engine.progress import Progress
 
-from .log_environment import Environment
 from .parameters import TrainParameters
 from .scene import Scene
-from .setup import MEAN_EXPOSED, NO_POINTS, START_ALBEDO, Start, prepare_training
+from .setup import NO_POINTS, Start, prepare_training, start_environment
 from .splats.gaussians import SplatModel
 from .trainer import Trainer
 from .views.polarisers import PolariserBank
@@ -113,7 +112,6 @@ def _trainer(
     bank = PolariserBank(priors, scene.bank.names)
     for name, angle in angles.items():
         bank.set_angle(name, math.radians(angle))
-    light = MEAN_EXPOSED / (0.85 * START_ALBEDO + 0.07)
-    environment = Environment(parameters.environment_resolution, light)
+    environment = start_environment(parameters.environment_resolution)
     own = Scene(SplatModel(scene.model.tensors), environment, bank, scene.hull)
     return Trainer(own, start.pyramids, "polarisers", start.frame, parameters, "cpu")

@@ -34,6 +34,7 @@ from .views.training_frame import SceneFrame
 from .views.view import View, prepare
 
 START_ALBEDO, START_ROUGHNESS, START_IOR = 0.35, 0.35, 1.5  # an everyday dielectric
+BODY_SHARE, MIRROR_SHARE = 0.85, 0.07  # of a constant sky's light: what passes the surface in and out, and what it mirrors
 MEAN_EXPOSED = 0.25  # mean foreground radiance in the training exposure
 NO_POINTS = np.zeros((0, 3))
 
@@ -107,13 +108,8 @@ def prepare_training(
     closed = hull if openings and cut else None
     if closed is not None:
         hull = _with_openings(hull, seen, frame, pixel, None if begun.points else offset)
-    most = round(parameters.start_fraction * parameters.max_splats)
-    count = wanted_count(mesh_area(hull), pixel, parameters.splat_pixels, most)
-    samples = sample_evenly(hull, count, np.random.default_rng(parameters.seed))
-    model = SplatModel.from_samples(samples, START_ALBEDO, START_ROUGHNESS, START_IOR, device)
-    _tint(model, seen)
-    # What a grey object of that albedo must be lit by to look as bright as the photographs do.
-    environment = Environment(parameters.environment_resolution, MEAN_EXPOSED / (0.85 * START_ALBEDO + 0.07), device)
+    model = _start_model(hull, seen, pixel, parameters, device)
+    environment = start_environment(parameters.environment_resolution, device)
     bank = PolariserBank(priors, sorted({s.camera.name for s in seen}), device) if mode == "polarisers" else None
     levels = [sources]
     if parameters.coarse_fraction > 0:
@@ -121,6 +117,21 @@ def prepare_training(
     pyramids = [[prepare(s, frame, black, device, openings) for s in level if s.split != "test"] for level in levels]
     found = StartFacts(begun.points, begun.reason, masked)
     return Start(Scene(model, environment, bank, hull, closed), pyramids, frame, hull, black, pixel, found)
+
+
+def _start_model(hull: HullMesh, seen: list[SourceView], pixel: float, parameters: TrainParameters, device: str) -> SplatModel:
+    """Gaussians evenly on the hull, about `splat_pixels` apart, in the photographs' mean colour."""
+    most = round(parameters.start_fraction * parameters.max_splats)
+    count = wanted_count(mesh_area(hull), pixel, parameters.splat_pixels, most)
+    samples = sample_evenly(hull, count, np.random.default_rng(parameters.seed))
+    model = SplatModel.from_samples(samples, START_ALBEDO, START_ROUGHNESS, START_IOR, device)
+    _tint(model, seen)
+    return model
+
+
+def start_environment(resolution: int, device: str = "cpu") -> Environment:
+    """What a grey object of the start's albedo must be lit by to look as bright as the photographs do."""
+    return Environment(resolution, MEAN_EXPOSED / (BODY_SHARE * START_ALBEDO + MIRROR_SHARE), device)
 
 
 def _with_openings(hull: HullMesh, seen: list[SourceView], frame: SceneFrame, pixel: float, offset: float | None) -> HullMesh:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy import ndimage
@@ -36,8 +37,7 @@ class ViewImage:
     own: np.ndarray
 
 
-@dataclass(frozen=True)
-class Observations:
+class Observations(NamedTuple):
     """What up to V views saw of P points: count [P] of views; the first `count` rows of each hold.
 
     values [P, V, C]; slope [P, V, 3] of the display encoding there; towards, frame_x, frame_y [P, V, 3]; mix [P, V, 2];

@@ -124,8 +124,6 @@ def visual_hull(
     that cuts the hull down, but for what the silhouettes need if they are the object's (`within.fades`). Raises UserError
     where the masks have no common object.
     """
-    from skimage.measure import marching_cubes
-
     distances = [signed_distance(s.mask, offset) for s in silhouettes]
     centre, half = bounds(silhouettes)
     half *= 1.3
@@ -161,11 +159,17 @@ def visual_hull(
     volume = without_debris(np.pad(volume, 1, constant_values=-spacing))
     if not (volume > 0).any():
         raise UserError("masks", "the common object is too thin to see", "check the masks and the cameras")
+    return _surface(volume, low, spacing)
+
+
+def _surface(volume: np.ndarray, low: np.ndarray, spacing: float) -> tuple[HullMesh, np.ndarray, float]:
+    """Smoothed zero level of a volume whose second voxel is at `low`, its bounding box's centre [3] and largest half extent."""
+    from skimage.measure import marching_cubes
+
     vertices, triangles, *_ = marching_cubes(volume, 0.0, spacing=(spacing,) * 3)
-    vertices = vertices + low - spacing
-    mesh = smoothed(vertices, triangles[:, ::-1].astype(np.int64), rounds=6)
-    extent = mesh.vertices.max(0) - mesh.vertices.min(0)
-    return mesh, 0.5 * (mesh.vertices.max(0) + mesh.vertices.min(0)), float(0.5 * extent.max())
+    mesh = smoothed(vertices + low - spacing, triangles[:, ::-1].astype(np.int64), rounds=6)
+    top, bottom = mesh.vertices.max(0), mesh.vertices.min(0)
+    return mesh, 0.5 * (top + bottom), float(0.5 * (top - bottom).max())
 
 
 def needed(silhouettes: Sequence[Silhouette], points: np.ndarray, hull: np.ndarray, cut: np.ndarray) -> np.ndarray:
