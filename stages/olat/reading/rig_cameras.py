@@ -14,9 +14,9 @@ from pipeline.engine.stage import StageRun
 from pipeline.errors import UserError
 from pipeline.formats.images import read_mask
 from pipeline.geometry.cameras import Camera, camera_from_frame
+from stages.olat.parameters import OlatParameters, every
 from stages.olat.reading.frame_reader import is_half
 from stages.olat.reading.scanline_bands import Band, bands_of
-from stages.olat.stage import OlatParameters, every
 
 PILOT = 150  # pixels on which the lobe is chosen: its share of them is known to 4 percent points
 
