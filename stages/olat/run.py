@@ -28,7 +28,7 @@ from stages.olat.pixel_fit.fit_options import SPECULAR_FITS, FitOptions
 from stages.olat.pixel_fit.many_pixels import fit, load, ready
 from stages.olat.pixel_fit.result_layout import FLAG, RESIDUAL, columns
 from stages.olat.reading.frame_reader import Samples, ahead
-from stages.olat.reading.misregistration import WARN_PX, Drift
+from stages.olat.reading.misregistration import WARN_PX, Misregistration
 from stages.olat.reading.rig_cameras import PILOT, CameraJob, decoded
 from stages.olat.reading.scanline_bands import Band, parts_of
 from stages.olat.reading.stream import Lanes, Piece
@@ -175,18 +175,18 @@ def write_camera(stage: StageRun, job: CameraJob, parts: Iterator[Part], setting
     parameters: OlatParameters = stage.parameters
     surface = parameters.widths == "surface"
     counts, directed = np.zeros(len(FLAGS), int), 0
-    drift: Drift | None = None
+    misregistration: Misregistration | None = None
     with (
         stage.progress.bar(f"fitting {job.name}", int(job.mask.sum()), "px") as bar,
         MapWriter(stage.output / job.name, job.camera.width, job.camera.height) as writer,
     ):
 
         def found() -> Iterator[tuple[Band, NDArray[np.float64]]]:
-            nonlocal drift
+            nonlocal misregistration
             for part in parts:
-                if drift is None:
+                if misregistration is None:
                     say_shift(stage, job, part.piece.shift)
-                    drift = part.piece.drift
+                    misregistration = part.piece.misregistration
                 bar.advance(len(part.rows))
                 yield part.band, part.rows
 
@@ -198,7 +198,7 @@ def write_camera(stage: StageRun, job: CameraJob, parts: Iterator[Part], setting
             writer.write(band, rows)
     with ThreadPoolExecutor(1) as pool:
         picture = pool.submit(write_preview, stage.output / job.name / "preview.png", writer.preview)
-        right, down = drift.shift() if drift is not None else (0.0, 0.0)
+        right, down = misregistration.shift() if misregistration is not None else (0.0, 0.0)
         picture.result()
     stage.note(f"{job.name}.drift_px", [round(right, 2), round(down, 2)])
     if max(abs(right), abs(down)) > WARN_PX:

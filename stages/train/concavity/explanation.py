@@ -58,7 +58,7 @@ def unexplained(seen: Observations, albedo: np.ndarray, shading: Shading) -> np.
 
     albedo [P, 3]: what to fall back on where nothing is lit.
     """
-    count = len(seen.count)
+    count = len(seen.views)
     best = np.full(count, np.inf, np.float32)
     run_on_all_cores(explain, seen, shading, sphere_directions(NORMALS), albedo.astype(np.float32), best)
     return best

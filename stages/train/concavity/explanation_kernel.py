@@ -131,9 +131,9 @@ def _residual(count, values, slope, prior, body, gloss, weight, lost, albedo, su
 
 
 class _Point(NamedTuple):
-    """What the views saw of one point: counts as in `Observations`, values and slope [C, V], trust [V] of each view."""
+    """What V views saw of one point, as in `Observations`; values and slope turned to [C, V]; trust [V] in each view."""
 
-    count: int
+    views: int
     values: np.ndarray
     slope: np.ndarray
     towards: np.ndarray
@@ -234,7 +234,7 @@ def explain(counters, seen, light, normals, prior, best):
         if first >= len(best):
             return
         for p in range(first, min(first + CHUNK, len(best))):
-            count, own = seen.count[p], seen.own[p]
+            count, own = seen.views[p], seen.own[p]
             if count == 0:
                 continue
             for k in range(count):

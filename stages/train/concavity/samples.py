@@ -38,13 +38,13 @@ class ViewImage:
 
 
 class Observations(NamedTuple):
-    """What up to V views saw of P points: count [P] of views; the first `count` rows of each hold.
+    """What up to V views saw of P points: views [P] of each; that many rows of each hold.
 
     values [P, V, C]; slope [P, V, 3] of the display encoding there; towards, frame_x, frame_y [P, V, 3]; mix [P, V, 2];
     own [P, V, 10].
     """
 
-    count: np.ndarray
+    views: np.ndarray
     values: np.ndarray
     slope: np.ndarray
     towards: np.ndarray

@@ -73,7 +73,7 @@ def surface_depths(
     for depth in depths:
         seen = sight.observe(samples.points, samples.normals, depth)
         residual.append(unexplained(seen, albedo, shading))
-        views.append(seen.count)
+        views.append(seen.views)
     found = sample_depths(samples.points, samples.normals, depths, np.array(residual), np.array(views))
     return SurfaceDepths(samples.points, samples.normals, without_doubtful(samples.points, found, samples.spacing))
 
