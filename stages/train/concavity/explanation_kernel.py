@@ -10,8 +10,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from pipeline.kernels.compiling import kernel
 from pipeline.kernels.simd import take_ticket
 
 LEAST_COSINE = 0.03  # below it a normal turns the surface away from a view that sees it
@@ -37,7 +37,7 @@ def octahedral_directions(size: int) -> np.ndarray:
     return (d / np.linalg.norm(d, axis=-1, keepdims=True)).astype(np.float32)
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@kernel(nogil=True, fastmath=True, error_model="numpy")
 def _texel(x, y, z, size):
     """Row and column of a direction in the octahedral map."""
     scale = np.float32(1) / (abs(x) + abs(y) + abs(z))
@@ -54,7 +54,7 @@ def _texel(x, y, z, size):
     )
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@kernel(nogil=True, fastmath=True, error_model="numpy")
 def _predict(nx, ny, nz, count, towards, axis_x, axis_y, mix, own, trust, irradiance, mirrored, angular, body, gloss, weight):
     """Every view's body and gloss [C, V] for one normal; weight [V] is 0 where it turns away. Returns the weight so lost."""
     size, channels = len(irradiance), len(body)
@@ -103,7 +103,7 @@ def _predict(nx, ny, nz, count, towards, axis_x, axis_y, mix, own, trust, irradi
     return lost
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@kernel(nogil=True, fastmath=True, error_model="numpy")
 def _residual(count, values, slope, prior, body, gloss, weight, lost, albedo, sums):
     """Weighted mean robust residual of one normal's predictions at the albedo that fits them best."""
     channels = len(body)
@@ -155,7 +155,7 @@ class _Workspace(NamedTuple):
     albedo: np.ndarray
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@kernel(nogil=True, fastmath=True, error_model="numpy")
 def _best_of(normals, point, light, work):
     """Least residual over the normals [M, 3] that enough of the views face, and which it is; infinity and -1 for none."""
     count, values, slope, v, fx, fy, mix, own, trust, prior = point  # taken apart once: a field's every use counts references
@@ -178,7 +178,7 @@ def _best_of(normals, point, light, work):
     return least, chosen
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@kernel(nogil=True, fastmath=True, error_model="numpy")
 def _refined(nx, ny, nz, least, point, light, work):
     """Least residual after three rounds of six ever smaller steps about the normal."""
     count, values, slope, v, fx, fy, mix, own, trust, prior = point  # taken apart once: a field's every use counts references
@@ -210,7 +210,7 @@ def _refined(nx, ny, nz, least, point, light, work):
     return least
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@kernel(nogil=True, fastmath=True, error_model="numpy")
 def explain(counters, seen, light, normals, prior, best):
     """Each of P points' least residual over normals and albedos, as one thread's share of the tickets.
 
