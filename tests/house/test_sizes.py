@@ -12,8 +12,8 @@ ROOT = Path(__file__).parents[2]
 PACKAGES = ("pipeline", "stages", "synth")
 FILE_LINES, FUNCTION_LINES = 250, 50
 
-# Name: (lines it may have, to the next ten; why it has them). Nothing is added here without a reason that a reader accepts; what gets shorter
-# is lowered or taken out.
+# Name: (lines it may have, to the next ten; why it has them). Nothing is added here without a reason that a reader accepts;
+# what gets shorter is lowered or taken out.
 LONG_FILES = {
     "pipeline/capture/mosaic/demosaic_kernels.py": (270, "numba compiles a file's kernels together: one file, one cache"),
     "pipeline/engine/cli.py": (310, "the commands, each a short function"),

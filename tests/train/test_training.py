@@ -12,6 +12,7 @@ import torch
 from pipeline.capture.model import PolariserPrior
 from pipeline.errors import UserError
 from stages.train import checkpoint
+from stages.train.log_environment import Environment
 from stages.train.parameters import TrainParameters
 from stages.train.setup import prepare_training
 from stages.train.trainer import Trainer
@@ -76,6 +77,22 @@ def test_a_resumed_run_is_the_same_run(make_sources, tmp_path):
         resumed.step()
     for name, value in straight.scene.tensors().items():
         assert torch.equal(value, resumed.scene.tensors()[name]), name
+
+
+def test_the_environments_smoothness_has_the_same_gradient_every_time():
+    before = torch.get_num_threads()
+    torch.set_num_threads(2)  # as numba's OpenMP pool leaves it, whatever training asks for
+    try:
+        environment, seen = Environment(32, 0.6), set()
+        with torch.no_grad():
+            environment.raw.add_(torch.randn(environment.raw.shape, generator=torch.Generator().manual_seed(0)))
+        for _ in range(100):
+            environment.raw.grad = None
+            environment.roughness_of().backward()
+            seen.add(environment.raw.grad.numpy().tobytes())
+    finally:
+        torch.set_num_threads(before)
+    assert len(seen) == 1
 
 
 def test_a_broken_checkpoint_is_as_none(tmp_path):
