@@ -8,15 +8,13 @@ from __future__ import annotations
 
 import dataclasses
 import tomllib
-import types
-import typing
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from pipeline.errors import UserError
-
-UP_AXES = ("y", "-y", "z", "-z", "x", "-x")
+from pipeline.formats.typed_values import filled
+from pipeline.geometry.world import UP_AXES
 
 
 @dataclass(frozen=True)
@@ -81,9 +79,10 @@ class StackConfig:
 
 @dataclass(frozen=True)
 class OlatConfig:
-    """Light-stage facts (see docs/captures.md)."""
+    """Light-stage facts (see docs/light_stage.md). `first_frame`: the number of the frame of the light with index 0."""
 
     lights: str | None = None
+    first_frame: int | None = None
     irradiance: float = 3.141592653589793
     near_light: bool = False
     distortion: bool = False
@@ -131,55 +130,9 @@ def load_config(root: Path) -> CaptureConfig:
         table = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise UserError(path, f"is not valid TOML: {error}", "correct it; docs/captures.md has an example") from None
-    config = _fill(CaptureConfig, table, path, "", hidden=("path",))
+    config = filled(CaptureConfig, table, "", str(path), hidden=("path",))
     _check(config, path)
     return dataclasses.replace(config, path=path)
-
-
-def _fill(cls: Any, table: dict[str, Any], path: Path, prefix: str, hidden: tuple[str, ...] = ()) -> Any:
-    hints = typing.get_type_hints(cls)
-    known = [f.name for f in dataclasses.fields(cls) if f.name not in hidden]
-    values = {}
-    for key, value in table.items():
-        if key not in known:
-            raise UserError(path, f"unknown key {prefix}{key}", f"known here: {', '.join(known)}")
-        values[key] = _convert(hints[key], value, path, f"{prefix}{key}")
-    return cls(**values)
-
-
-def _convert(hint: Any, value: Any, path: Path, key: str) -> Any:
-    """`value` as the type `hint`; only the few kinds of type that the tables above use."""
-    if isinstance(hint, types.UnionType):
-        hint = next(a for a in typing.get_args(hint) if a is not type(None))
-    origin, arguments = typing.get_origin(hint), typing.get_args(hint)
-    wrong = UserError(path, f"{key} = {value!r} is not {_spoken(hint)}", "correct the value")
-    if dataclasses.is_dataclass(hint):
-        if not isinstance(value, dict):
-            raise wrong
-        return _fill(hint, value, path, f"{key}.")
-    if origin is dict:
-        if not isinstance(value, dict):
-            raise wrong
-        return {str(k): _convert(arguments[1], v, path, f"{key}.{k}") for k, v in value.items()}
-    if origin is tuple:
-        if not isinstance(value, list):
-            raise wrong
-        return tuple(_convert(arguments[0], v, path, f"{key}[{i}]") for i, v in enumerate(value))
-    if hint is Any:
-        return value
-    if hint is float:
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise wrong
-        return float(value)
-    if not isinstance(value, hint):
-        raise wrong
-    return value
-
-
-def _spoken(hint: Any) -> str:
-    names = {float: "a number", bool: "true or false", str: "text"}
-    origin = typing.get_origin(hint)
-    return names.get(hint) or {dict: "a table", tuple: "a list"}.get(origin) or "a table"
 
 
 def _check(config: CaptureConfig, path: Path) -> None:
@@ -220,6 +173,7 @@ def _check(config: CaptureConfig, path: Path) -> None:
     )
     refuse(mosaic.demosaic not in ("carriers", "bilinear"), "mosaic.demosaic", mosaic.demosaic, '"carriers" or "bilinear"')
     refuse(config.olat.irradiance <= 0, "olat.irradiance", config.olat.irradiance, "above 0")
+    refuse(config.olat.specular_factor <= 0, "olat.specular_factor", config.olat.specular_factor, "above 0")
     for name, polariser in config.polarisers.items():
         extinction = polariser.extinction
         refuse(extinction is not None and extinction <= 1, f"polarisers.{name}.extinction", extinction, "above 1")

@@ -11,7 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.capture.config import CaptureConfig
+from pipeline.formats.ground_truth import Truth
 from pipeline.geometry.cameras import Camera
+
+Polarisation = Literal["stokes", "polarisers", "none"]
+"""What is known of a view's polarisation: its Stokes vectors, its radiance behind a polariser, or nothing."""
 
 
 @dataclass(frozen=True)
@@ -72,12 +76,15 @@ class ViewSource:
 @dataclass(frozen=True)
 class LightTable:
     """Directions from the stage's centre to each light (world, unit) [N, 3], positions [N, 3] in world units,
-    relative intensity [N], solid angle [N] in sr (None: to be computed from the directions)."""
+    relative intensity [N], solid angle [N] in sr (None: to be computed from the directions). index [N]: the table's own
+    number of each light, which its frame bears (None: 0..N-1); names: the file of each light's frame, where it tells."""
 
     directions: NDArray[np.float64]
     positions: NDArray[np.float64]
     intensity: NDArray[np.float64]
     solid_angle: NDArray[np.float64] | None = None
+    index: NDArray[np.int64] | None = None
+    names: tuple[str, ...] | None = None
 
     def __len__(self) -> int:
         return len(self.directions)
@@ -109,13 +116,14 @@ class Capture:
     """A capture folder, understood. `files` lists every input; nothing in it is ever written to.
 
     masks: mask file per view, "alpha" (the images carry it), or None. colmap: folder of an existing COLMAP model.
-    clean_plates: background photographs by physical camera or view, for masks by difference.
+    clean_plates: background photographs by physical camera or view, for masks by difference. parts: "train", "validation"
+    or "test" by VIEW where the capture's own tables divide the views.
     """
 
     root: Path
     layout: str
     kind: Literal["multiview", "light_stage"]
-    polarisation: Literal["stokes", "polarisers", "none"]
+    polarisation: Polarisation
     views: tuple[ViewSource, ...] = ()
     light_stage: LightStage | None = None
     environments: tuple[Path, ...] = ()
@@ -129,6 +137,7 @@ class Capture:
     warnings: tuple[str, ...] = ()
     facts: tuple[str, ...] = ()
     clean_plates: dict[str, Path] = field(default_factory=dict)
+    parts: dict[str, str] | None = None
 
     @property
     def camera_names(self) -> tuple[str, ...]:
@@ -136,6 +145,11 @@ class Capture:
         if self.light_stage is not None:
             return tuple(sorted(self.light_stage.cameras))
         return tuple(sorted({view.camera for view in self.views}))
+
+    @property
+    def truth(self) -> Truth:
+        """What the folder holds of ground truth."""
+        return Truth(self.root, tuple(sorted(view.view for view in self.views)))
 
     def view(self, name: str) -> ViewSource:
         """The view called `name`; KeyError if there is none."""

@@ -68,7 +68,7 @@ def make_plan(
     steps: dict[str, Step] = {}
     for name, stage in stages.items():
         from_file = capture.config.stage.get(name, {})
-        parameters_from(stage, from_file, str(capture.config.path))  # so that a fault there is laid at its door
+        parameters_from(stage, from_file, str(capture.config.path), text=False)  # so that a fault there is laid at its door
         parameters = parameters_from(stage, {**from_file, **overrides.get(name, {})}, "PARAMS")
         decision = stage.needed(capture, parameters)
         if not decision.run:
@@ -92,7 +92,8 @@ def make_plan(
 def _capture_facts(capture: Capture, stage: Stage) -> dict[str, Any]:
     """What a stage heeds of the capture beside the bytes of its files."""
     sections = {name: as_json(getattr(capture.config, name)) for name in stage.config}
-    return {"layout": capture.layout, "views": [v.view for v in capture.views], **sections}
+    parts = {"parts": capture.parts} if capture.parts is not None else {}
+    return {"layout": capture.layout, "views": [v.view for v in capture.views], **parts, **sections}
 
 
 def as_json(value: Any) -> Any:

@@ -7,11 +7,12 @@ from typing import Any
 import torch
 
 from pipeline.optics import fresnel as optics
+from pipeline.optics.model_names import FRESNELS, MIRRORS
 from pipeline.optics.stokes import surface_pattern
 
 from . import limits, prefilter_kernels, splitsum
 from .prefilter import LightField
-from .types import FRESNELS, MIRRORS, Occlusion, Shaded, clamp_keeping_gradient
+from .types import Occlusion, Shaded, clamp_keeping_gradient
 
 
 def shade(

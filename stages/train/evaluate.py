@@ -37,14 +37,17 @@ def psnr(predicted: torch.Tensor, target: torch.Tensor, exposure: float) -> floa
 def validation_psnr(renderer: Renderer, views: Sequence[View], mode: Mode, exposure: float) -> float:
     """Mean `psnr` (dB) inside the masks of the validation views; of two training views where none are held back.
 
+    NaN where no view shows anything.
+
     renderer: of the scene; views: at full size; mode: what they hold; exposure: training over capture radiance.
     """
-    showing = [v for v in views if v.inside.any()]
+    showing = [v for v in views if v.inside.any()] or [v for v in views if len(v.pixels)]
     judges = [v for v in showing if v.split == "validation"]
     judges = judges or [v for v in showing if v.split == "train"][:2]
     light = renderer.light()
     values = []
     for view in judges:
         predicted, measured = compared(mode, renderer.scene, renderer.render(view, 0, light).stokes, view)
-        values.append(psnr(predicted[view.inside], measured[view.inside], exposure))
-    return sum(values) / len(values)
+        inside = view.inside if view.inside.any() else torch.ones_like(view.inside)  # an object nowhere two pixels wide
+        values.append(psnr(predicted[inside], measured[inside], exposure))
+    return sum(values) / len(values) if values else float("nan")

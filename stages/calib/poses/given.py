@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pipeline.engine.stage import StageRun
 from pipeline.formats.colmap import ColmapModel, read_model
+from pipeline.formats.dataset_files import POINTS
 from stages.calib.poses.straighten import write_cameras
 from stages.calib.poses.write import write_points, write_sparse
 
@@ -20,4 +21,4 @@ def write_given(stage: StageRun) -> None:
 
         triangulate(stage)
     elif model is not None and len(model.points):
-        write_points(stage.output / "points.ply", model.points, model.colours)
+        write_points(stage.output / POINTS, model.points, model.colours)

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.formats.ply import write_ply
 from pipeline.geometry.cameras import Camera
 
 
@@ -68,13 +69,4 @@ def write_sparse(folder: Path, cameras: Mapping[str, Camera], points: NDArray[np
 
 def write_points(path: Path, points: NDArray[np.float64], colours: NDArray[np.uint8]) -> None:
     """Binary PLY of points [N, 3] with 8-bit colours [N, 3], in the order given."""
-    table = np.zeros(len(points), [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1")])
-    for i, name in enumerate("xyz"):
-        table[name] = points[:, i]
-    for i, name in enumerate(("red", "green", "blue")):
-        table[name] = colours[:, i]
-    header = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(points)}\n"
-    header += "".join(f"property float {n}\n" for n in "xyz") + "".join(
-        f"property uchar {n}\n" for n in ("red", "green", "blue")
-    )
-    path.write_bytes(header.encode() + b"end_header\n" + table.tobytes())
+    write_ply(path, dict(zip("xyz", points.T)) | dict(zip(("red", "green", "blue"), colours.T)))

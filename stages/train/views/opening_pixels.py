@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy import ndimage
 
+from pipeline.formats.backdrop import grown
+
 from .source_views import SourceView
 
 OPENING = 2.5e-3  # radiance (mean foreground = 0.25) below which no outer side of any dielectric under a sky is: 1/100 of
@@ -58,7 +60,7 @@ def hole_coverage(source: SourceView, exposure: float) -> np.ndarray:
     opening = opening_pixels(source, exposure)
     bright = source.image[:, :, 0].max(-1)
     full = np.asarray(ndimage.maximum_filter(np.where(opening, 0.0, bright), 5))
-    rim = ndimage.binary_dilation(opening, structure=np.ones((3, 3), bool)) & ~opening & (source.mask > 0.99)
+    rim = grown(opening) & ~opening & (source.mask > 0.99)
     share = 1 - bright / np.maximum(full, 1e-30)  # 0 / 0 where all about is black, which is no rim
     return np.where(opening, 1.0, np.where(rim, np.clip(share, 0.0, 1.0), 0.0))
 

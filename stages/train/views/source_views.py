@@ -10,13 +10,15 @@ from typing import Literal
 import numpy as np
 from scipy import ndimage
 
+from pipeline.capture.model import Polarisation as Mode
+from pipeline.capture.view_rules import held_back
 from pipeline.errors import UserError
+from pipeline.formats import dataset_files as files
 from pipeline.formats.images import read_exr, read_image
 from pipeline.geometry.cameras import Camera, load_cameras
+from pipeline.geometry.lens import FRAMES
 
-Mode = Literal["stokes", "polarisers", "none"]
 Split = Literal["train", "validation", "test"]
-TEST_EVERY = 8  # docs/dataset.md: every 8th of the sorted views, from the first
 BLACK_BACKGROUND = 0.01  # background radiance over foreground radiance below which the edge pixels are premultiplied
 FEWEST_VIEWS = 4  # below this neither a hull nor an environment is determined at all
 
@@ -45,19 +47,19 @@ def load_sources(decode: Path, poses: Path, masks: Path | None, polarisation: st
     Raises:
         UserError: too few views, a mask of another size, or data that do not hold what is asked for.
     """
-    index_path = decode / "frames.json"
+    index_path = decode / FRAMES
     index = json.loads(index_path.read_text())
-    cameras = load_cameras(poses / "cameras.json")
+    cameras = load_cameras(poses / files.CAMERAS)
     mode: Mode = index["polarisation"]
     if polarisation != "auto" and polarisation != mode:
         mode = _reduced_mode(mode, polarisation, index_path)
     names = sorted(index["views"])
-    test = set(names[::TEST_EVERY])
+    parts = held_back(names, index.get("parts"))
     sources = []
     for name in names:
         if name not in cameras:
             continue
-        split: Split = "test" if name in test else "train"
+        split: Split = parts.get(name, "train")
         sources.append(_load(name, index["views"][name], cameras[name], decode, masks, split, mode))
     usable = [s for s in sources if s.split == "train" and ((s.mask > 0.5) & s.valid).sum() > 20]
     if len(usable) < FEWEST_VIEWS:
@@ -78,8 +80,7 @@ def _reduced_mode(stored: str, wanted: str, path: Path) -> Mode:
 def _load(name: str, entry: dict, camera: Camera, decode: Path, masks: Path | None, split: Split, mode: Mode) -> SourceView:
     channels = read_exr(decode / entry["file"])
     height, width = next(iter(channels.values())).shape
-    camera = camera if (camera.width, camera.height) == (width, height) else camera.resized(width, height)
-    camera = replace(camera, name=entry.get("camera") or camera.name)
+    camera = replace(camera.resized(width, height), name=entry.get("camera") or camera.name)
     if "S0.R" in channels:
         parts = 3 if mode == "stokes" else 1
         image = np.stack([np.stack([channels[f"S{k}.{c}"] for c in "RGB"], -1) for k in range(parts)], -2)
@@ -90,14 +91,19 @@ def _load(name: str, entry: dict, camera: Camera, decode: Path, masks: Path | No
         valid &= read_image(decode / entry["saturated"])[..., 0] < 0.5
     mask = np.ones((height, width), np.float32)
     if masks is not None:
-        mask = read_image(masks / f"{name}.png")[..., 0]
+        mask = read_image(files.mask(masks, name))[..., 0]
         if mask.shape != (height, width):
-            raise UserError(masks / f"{name}.png", f"is {mask.shape[::-1]}, its image {width}x{height}", "redo the masks")
+            raise UserError(files.mask(masks, name), f"is {mask.shape[::-1]}, its image {width}x{height}", "redo the masks")
     return SourceView(name, split, camera, np.nan_to_num(image, posinf=0.0, neginf=0.0), mask, valid)
 
 
 def with_validation(sources: list[SourceView], every: int) -> list[SourceView]:
-    """The sources with some training views marked as validation; `every` 0 chooses about one in 14, at least one of 12."""
+    """The sources with some training views marked as validation; `every` 0 chooses about one in 14, at least one of 12.
+
+    Where the capture's own tables name validation views, these are they.
+    """
+    if any(s.split == "validation" for s in sources):
+        return sources
     training = [s.name for s in sources if s.split == "train" and (s.mask > 0.99).any()]
     if every == 0:
         every = 14 if len(training) >= 12 else 0

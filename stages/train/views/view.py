@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from scipy import ndimage
 
+from pipeline.formats.backdrop import grown
 from pipeline.geometry.cameras import Camera
 
 from .opening_pixels import opening_pixels
@@ -81,12 +82,12 @@ def prepare(source: SourceView, frame: SceneFrame, black: bool, device: str = "c
     camera = frame.camera(source.camera)
     full = source.mask > COVERED
     touched = source.mask > EMPTY
-    grown = ndimage.binary_dilation(touched, structure=np.ones((3, 3), bool))
+    wide = grown(touched)
     core = full & ndimage.binary_erosion(full, border_value=1)
-    counted = (grown if black else core) & source.valid
-    alpha_weight = np.where(core | ~grown, 1.0, 0.0) if black else np.where(core | ~touched, 1.0, EDGE_WEIGHT)
+    counted = (wide if black else core) & source.valid
+    alpha_weight = np.where(core | ~wide, 1.0, 0.0) if black else np.where(core | ~touched, 1.0, EDGE_WEIGHT)
     opening = opening_pixels(source, frame.exposure) if openings else np.zeros(full.shape, bool)
-    near_opening = ndimage.binary_dilation(opening, structure=np.ones((3, 3), bool))
+    near_opening = grown(opening)
     alpha_weight = np.where(opening, 1.0, np.where(near_opening, 0.0, alpha_weight))
     index = np.flatnonzero(counted)
     rays = camera.rays().reshape(-1, 3)[index]
