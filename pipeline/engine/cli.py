@@ -260,7 +260,7 @@ def _die_with_parent() -> None:
 
 
 def _describe(call: Call, steps: list[Step], kept: Settings) -> None:
-    """Write `dataset.json`: the plan, with the passes that finished stages decided on by what they saw, and what was given."""
+    """Write `dataset.json`: plan, decisions that finished stages took at run time, and the user's settings."""
     plan, dataset = plan_as_json(steps), call.dataset
     for step in steps:
         version = dataset.find(step.stage.name, step.key) if step.decision.run else None
@@ -279,7 +279,7 @@ def _report_path(call: Call) -> Path:
 
 
 def _check_cuda() -> None:
-    """Raise UserError where training on the GPU cannot be: told before anything runs."""
+    """Raise UserError where training on the GPU cannot be, before anything runs."""
     import importlib.util
 
     import torch

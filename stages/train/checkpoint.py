@@ -9,6 +9,7 @@ from typing import Any
 import torch
 
 NAME = "checkpoint.pt"
+SCHEMA = 2  # of the saved state; one of another schema is as none
 
 
 def save(folder: Path, state: dict[str, Any]) -> None:
@@ -16,7 +17,7 @@ def save(folder: Path, state: dict[str, Any]) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     aside = folder / (NAME + ".new")
     with aside.open("wb") as file:
-        torch.save(state, file)
+        torch.save({"schema": SCHEMA} | state, file)
         file.flush()
         os.fsync(file.fileno())
     os.replace(aside, folder / NAME)
@@ -28,9 +29,10 @@ def load(folder: Path) -> dict[str, Any] | None:
     if not path.is_file():
         return None
     try:
-        return torch.load(path, weights_only=True)
+        state = torch.load(path, weights_only=True)
     except (RuntimeError, EOFError, OSError, ValueError, KeyError):
         return None
+    return state if state.pop("schema", None) == SCHEMA else None
 
 
 def clear(folder: Path) -> None:

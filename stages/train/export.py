@@ -16,9 +16,9 @@ from pipeline.formats.ply import write_ply
 
 from .render_view import Rendered
 from .splats.gaussians import SplatModel, to_numpy
-from .views.data import View
 from .views.polarisers import PolariserBank
 from .views.training_frame import SceneFrame
+from .views.view import View
 
 SH_C0 = 0.28209479177387814  # zeroth spherical harmonic: viewers show 0.5 + SH_C0 * f_dc
 
@@ -80,7 +80,9 @@ def with_normals(
 
 
 def write_gaussians(path: Path, model: SplatModel, frame: SceneFrame) -> None:
-    """gaussians.ply as 3DGS and 2DGS viewers read it: raw opacity (logit), log scales, wxyz quaternions; in the world.
+    """Write gaussians.ply as 3DGS and 2DGS viewers read it: raw opacity (logit), log scales, wxyz quaternions.
+
+    path: the file; model: in the training frame; frame: the way back to the capture's world.
 
     A third, very small scale makes viewers that know only 3D Gaussians show discs.
     """

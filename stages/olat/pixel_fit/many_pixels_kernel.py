@@ -11,12 +11,12 @@ from numba.extending import overload
 from pipeline.kernels.compiling import kernel
 from pipeline.kernels.native import machine_code
 from pipeline.kernels.scratch import folded
-from stages.olat.pixel_fit.fit_options import CHUNK, ROOM, Settings
+from stages.olat.pixel_fit.fit_options import CHUNK, ROOM, FitOptions
 from stages.olat.pixel_fit.one_pixel import fit_pixel
 from stages.olat.pixel_fit.result_layout import WIDTH
 from stages.olat.pixel_fit.workspace import make_room
 
-COUNT = len(Settings._fields)
+COUNT = len(FitOptions._fields)
 
 
 def value(sample, table):
@@ -45,8 +45,8 @@ def _near(point, positions, intensity, w, energy):
 
 @kernel(error_model="numpy")
 def _settings(v):
-    """Settings from their numbers in order."""
-    return Settings(
+    """Options from their numbers in order."""
+    return FitOptions(
         int(v[0]), int(v[1]), int(v[2]), int(v[3]), v[4], v[5], v[6], v[7], v[8], v[9], v[10],
         v[11] != 0, int(v[12]), v[13] != 0, v[14] != 0, v[15] != 0, v[16] != 0,
     )  # fmt: skip

@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from pipeline.kernels import scratch as stack
+from pipeline.kernels import scratch
 from pipeline.kernels.compiling import kernel
 from pipeline.kernels.numerics import FAST, ZERO, cholesky_solve, copy1, copy2
 from pipeline.rig.lobe_names import GGX
@@ -55,7 +55,7 @@ def direction(x, j):
 @kernel(error_model="numpy")
 def _system(lobe, frame, x, o, h, i, light, floor, weight, rows, one, prior, n_d, matrix, gradient):
     """Normal equations [SIZE, SIZE] of the mixture at x = (s1, s2, first angle, weights); returns the cost."""
-    shape, slope = stack.vector(3), stack.matrix(2, 3)
+    shape, slope = scratch.vector(3), scratch.matrix(2, 3)
     kind = light.dtype.type
     rows[:4] = ZERO
     for j in range(DIRECTIONS):
@@ -128,10 +128,10 @@ def _dot(a, b):
 @kernel(error_model="numpy")
 def _optimise(lobe, frame, x, o, h, i, light, floor, weight, prior, n_d, tolerance, rows, one):
     """Levenberg-Marquardt in place on (frame, x), weights held at 0 while they want to be negative. Returns passes."""
-    matrix, gradient = stack.matrix(SIZE, SIZE), stack.vector(SIZE)
-    matrix2, gradient2 = stack.matrix(SIZE, SIZE), stack.vector(SIZE)
-    system, right, step = stack.matrix(SIZE, SIZE), stack.vector(SIZE), stack.vector(SIZE)
-    x2, frame2 = stack.vector(LENGTH), stack.matrix(3, 3)
+    matrix, gradient = scratch.matrix(SIZE, SIZE), scratch.vector(SIZE)
+    matrix2, gradient2 = scratch.matrix(SIZE, SIZE), scratch.vector(SIZE)
+    system, right, step = scratch.matrix(SIZE, SIZE), scratch.vector(SIZE), scratch.vector(SIZE)
+    x2, frame2 = scratch.vector(LENGTH), scratch.matrix(3, 3)
     size = weighted_square(light, weight)
     if not size > 0:
         return 0
@@ -184,7 +184,7 @@ def _optimise(lobe, frame, x, o, h, i, light, floor, weight, prior, n_d, toleran
 @kernel(error_model="numpy")
 def mixed_values(lobe, frame, x, o, h, i, one, g):
     """Radiance per unit irradiance of the mixture, into `g` [N]; `one` [N] is workspace."""
-    shape, slope = stack.vector(3), stack.matrix(2, 3)
+    shape, slope = scratch.vector(3), scratch.matrix(2, 3)
     g[:] = ZERO
     kind = g.dtype.type
     for j in range(DIRECTIONS):
@@ -205,7 +205,7 @@ def _pack(frame, reach, h, i, light, floor, use, chosen, room):
         if use[k] > 0 and z > 0 and z * z * (1.0 + reach * reach) > 1.0:
             chosen[count] = k
             count += 1
-    out = stack.folded(room, 9, count)
+    out = scratch.folded(room, 9, count)
     for n in range(count):
         k = chosen[n]
         out[0, n], out[1, n], out[2, n] = h[0][k], h[1][k], h[2][k]
@@ -231,7 +231,7 @@ def fit_mixed(lobe, frame, x, large, small, angle, rho, o, h, i, light, floor, u
     if n < 2 * SIZE:
         return np.inf, 0
     spare = room.spare[9 * n :]
-    rows, one = stack.folded(spare, SIZE, n), stack.folded(spare[SIZE * n :], 6, n)
+    rows, one = scratch.folded(spare, SIZE, n), scratch.folded(spare[SIZE * n :], 6, n)
     robust = spare[(SIZE + 6) * n : (SIZE + 7) * n]
     h2, i2 = (near[0], near[1], near[2]), (near[3], near[4], near[5])
     copy1(near[8], robust)
