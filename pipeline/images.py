@@ -6,11 +6,15 @@ import os
 import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pipeline.errors import UserError
 from pipeline.whole_file import refuse_truncated
+
+if TYPE_CHECKING:
+    from pipeline.image_parts import Page
 
 STOKES = tuple(f"S{k}.{c}" for k in range(3) for c in "RGB")
 EXR_COMPRESSION = "zip:2"
@@ -26,26 +30,40 @@ def _oiio():
     return oiio
 
 
-def _open(path: Path):
+def _open(path: Path, page: Page | None = None, unassociated: bool = False) -> Any:
+    """An open image: one `page` of a file of several, or what they mean together (`pipeline.image_parts`); `unassociated`:
+    alpha not multiplied into colour, as PNG stores it. Raises UserError."""
+    from pipeline.bare_arrays import ARRAY_SUFFIXES, open_array
+    from pipeline.image_parts import chosen
+
     if not path.is_file():
         raise UserError(path, "no such image", "check the path and the name")
     if path.stat().st_size == 0:
         raise UserError(path, "the file is empty (0 bytes)", "copy it again from its source")
     if path.suffix.lower() == ".png":
         refuse_truncated(path)
-    image = _oiio().ImageInput.open(str(path))
+    if path.suffix.lower() in ARRAY_SUFFIXES:
+        return chosen(open_array(path), path, page)
+    how = _oiio().ImageSpec()
+    if unassociated:
+        how.attribute("oiio:UnassociatedAlpha", 1)
+    image = _oiio().ImageInput.open(str(path), how)
     if image is None:
         raise UserError(path, f"cannot be read as an image ({_first_line(_oiio().geterror())})", "copy it again or remove it")
-    return image
+    try:
+        return chosen(image, path, page)
+    except UserError:
+        image.close()
+        raise
 
 
 def _first_line(text: str) -> str:
     return (text.strip().splitlines() or ["no reason given"])[0]
 
 
-def image_size(path: str | Path) -> tuple[int, int]:
+def image_size(path: str | Path, page: Page | None = None) -> tuple[int, int]:
     """(width, height) in pixels from the header alone. Raises UserError."""
-    image = _open(Path(path))
+    image = _open(Path(path), page)
     spec = image.spec()
     image.close()
     return spec.width, spec.height

@@ -37,12 +37,14 @@ def assemble(
     cameras: Mapping[str, Camera] | None = None,
     camera_files: tuple[Path, ...] = (),
     facts: tuple[str, ...] = (),
+    warned: tuple[str, ...] = (),
 ) -> Capture:
-    """The Capture of `views`; without given cameras a COLMAP model beside the images is used. Raises UserError."""
-    warnings: list[str] = []
+    """The Capture of `views` (`warned`: what was found while reading them); without given cameras a COLMAP model beside the images is used. Raises UserError."""
+    warnings = list(warned)
     colmap = None
     if cameras is None:
-        found, colmap, warnings, camera_files = from_colmap(root, views, folder)
+        found, colmap, model, camera_files = from_colmap(root, views, folder)
+        warnings += model
         cameras = found or None
     if cameras is not None:
         views = tuple(v for v in views if v.view in cameras)
@@ -52,7 +54,7 @@ def assemble(
     check_masks(masks, lambda view: sizes[view] or (0, 0))
     plates, plate_files = find_plates(root, config, views)
     environments = find_environments(root)
-    alpha = not masks and bool(views) and all(_has_alpha(v.paths[0]) for v in views)
+    alpha = not masks and bool(views) and all(_has_alpha(v) for v in views)
     return Capture(
         root, layout, "multiview", polarisation, views, environments=environments, config=config, up=config.up or "y",
         cameras=dict(cameras) if cameras is not None else None, masks=masks or ("alpha" if alpha else None), colmap=colmap,
@@ -62,8 +64,9 @@ def assemble(
     )  # fmt: skip
 
 
-def _has_alpha(path: Path) -> bool:
-    return path.suffix.lower() in (".png", ".tif", ".tiff", ".exr") and "A" in channel_names(path)
+def _has_alpha(view: ViewSource) -> bool:
+    path = view.paths[0]
+    return not view.paged and path.suffix.lower() in (".png", ".tif", ".tiff", ".exr") and "A" in channel_names(path)
 
 
 def find_plates(root: Path, config: CaptureConfig, views: tuple[ViewSource, ...]) -> tuple[dict[str, Path], tuple[Path, ...]]:

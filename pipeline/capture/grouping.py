@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.capture.config import CaptureConfig
+from pipeline.image_parts import Page
 
 ANGLE = re.compile(
     r"^(?P<view>.+?)[_\-. ]?(?:pol|lp|angle|ang|deg|a|p)?[_\-]?(?P<angle>\d{1,3}(?:[.]\d+)?)(?:deg|°)?$", re.IGNORECASE
@@ -27,11 +28,13 @@ MIN_STEP_DEG = 5.0
 
 @dataclass(frozen=True)
 class Exposure:
-    """One file of a bracket: seconds if the name says so, else stops relative to the others (None: EXIF decides)."""
+    """One file of a bracket: seconds if the name says so, else stops relative to the others (None: EXIF decides);
+    `page`: which image of a file that holds several."""
 
     path: Path
     seconds: float | None = None
     stops: float | None = None
+    page: Page | None = None
 
 
 @dataclass(frozen=True)
@@ -43,7 +46,7 @@ class Group:
 
     @property
     def paths(self) -> tuple[Path, ...]:
-        return tuple(e.path for exposures in self.angles.values() for e in exposures)
+        return tuple(dict.fromkeys(e.path for exposures in self.angles.values() for e in exposures))
 
     @property
     def is_stack(self) -> bool:
@@ -96,14 +99,14 @@ def _angles(bases: list[str], config: CaptureConfig) -> dict[str, tuple[str, flo
                     break
             else:
                 return None
-        return {b: (v, _turned(a, config)) for b, (v, a) in out.items()}
+        return {b: (v, turned(a, config)) for b, (v, a) in out.items()}
     for parse in (_by_suffix, _by_folder, _by_last_folder):
         split = {base: parse(base) for base in bases}
         if any(s is None for s in split.values()):
             continue
         sure = {b: s for b, s in split.items() if s is not None}
         if _plausible(sure):
-            return {b: (v, _turned(a, config)) for b, (v, a) in sure.items()}
+            return {b: (v, turned(a, config)) for b, (v, a) in sure.items()}
     return None
 
 
@@ -144,6 +147,6 @@ def _plausible(split: Mapping[str, tuple[str, float]]) -> bool:
     return bool(steps.min() >= MIN_STEP_DEG) and (len(by_view) > 1 or most in USUAL)
 
 
-def _turned(angle: float, config: CaptureConfig) -> float:
+def turned(angle: float, config: CaptureConfig) -> float:
     """The file's angle as ours: counter-clockwise from the image's x axis."""
     return (-angle if config.stack.clockwise else angle) + config.stack.zero_deg

@@ -13,7 +13,9 @@ from pipeline.capture.config import CaptureConfig, MosaicConfig
 from pipeline.capture.files import FLOAT_SUFFIXES, RAW_SUFFIXES
 from pipeline.capture.grouping import Group, group_files
 from pipeline.capture.pixels import LinearImage
-from pipeline.images import channel_names
+from pipeline.capture.radiometry import factor_of
+from pipeline.errors import UserError
+from pipeline.images import _open, channel_names
 
 
 def read_mosaic(group: Group, config: CaptureConfig) -> LinearImage:
@@ -23,8 +25,9 @@ def read_mosaic(group: Group, config: CaptureConfig) -> LinearImage:
         from pipeline.capture.raw import read_raw_mosaic
 
         samples, saturated = read_raw_mosaic(path, config.radiometry)
+        samples *= np.float32(factor_of(config.radiometry, path))
         return LinearImage(samples[..., None], ("Y",), saturated, 16)
-    return read_exposures(group.angles[None], config.radiometry, sensor_data=True)
+    return read_exposures(group.angles[None], config.radiometry, sensor_data=True, view=group.view)
 
 
 def is_mosaic(paths: Sequence[Path], config: CaptureConfig) -> bool:
@@ -34,10 +37,45 @@ def is_mosaic(paths: Sequence[Path], config: CaptureConfig) -> bool:
     """
     some = _a_few(paths)
     if config.mosaic != MosaicConfig():
-        return all(p.suffix.lower() in RAW_SUFFIXES or len(channel_names(p)) == 1 for p in some)
-    if any(p.suffix.lower() in FLOAT_SUFFIXES | RAW_SUFFIXES or len(channel_names(p)) != 1 for p in some):
+        return all(p.suffix.lower() in RAW_SUFFIXES or single_plane(p) for p in some)
+    if any(p.suffix.lower() in FLOAT_SUFFIXES | RAW_SUFFIXES or not single_plane(p) for p in some):
         return False
     return float(np.mean([carrier_share(_bare(p, config), period=4) for p in some])) > CARRIER_SHARE
+
+
+def refuse_colour(paths: Sequence[Path], config: CaptureConfig) -> None:
+    """Raise UserError naming a file of several different channels where capture.toml says that files are mosaics."""
+    for path in paths:
+        if path.suffix.lower() not in RAW_SUFFIXES and not single_plane(path):
+            told = "[mosaic] in capture.toml" if config.mosaic != MosaicConfig() else 'layout = "mosaic"'
+            raise UserError(
+                path,
+                f"has channels {', '.join(channel_names(path))} that differ, but {told} says that it is a mosaic",
+                "save the sensor's bare samples as one channel, or take that out of capture.toml",
+            )
+
+
+def single_plane(path: Path) -> bool:
+    """Whether an image file holds one plane: a single channel (beside alpha), or colours that are equal everywhere."""
+    names = [name for name in channel_names(path) if name.lower() != "a"]
+    if len(names) != 3:
+        return len(names) == 1
+    image = _open(path, unassociated=True)
+    spec = image.spec()
+    try:
+        for rows in (min(SKIMMED, spec.height), spec.height):  # a colour picture's first rows tell already
+            band = image.read_scanlines(0, 0, spec.y, spec.y + rows, 0, 0, spec.nchannels, "float")
+            if band is None and (band := image.read_image("float")) is None:
+                raise UserError(path, "the image is truncated or corrupt", "copy it again from its source")
+            pixels = np.asarray(band).reshape(-1, spec.nchannels)
+            if not ((pixels[:, 0] == pixels[:, 1]) & (pixels[:, 1] == pixels[:, 2])).all():
+                return False
+    finally:
+        image.close()
+    return True
+
+
+SKIMMED = 32
 
 
 def mosaic_colour(paths: Sequence[Path], config: CaptureConfig) -> str:

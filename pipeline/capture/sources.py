@@ -10,16 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.capture.brackets import read_exposures
-from pipeline.capture.config import CaptureConfig
-from pipeline.capture.files import RAW_SUFFIXES, refuse_duplicates
+from pipeline.capture.config import CaptureConfig, MosaicConfig
+from pipeline.capture.files import RAW_SUFFIXES, refuse_duplicates, view_name
 from pipeline.capture.frame import apply_stokes_config
-from pipeline.capture.grouping import Group, group_files
+from pipeline.capture.grouping import Exposure, Group, group_files
 from pipeline.capture.model import DecodedView, ViewSource
 from pipeline.capture.mosaic_order import order_fault
-from pipeline.capture.mosaic_signs import is_mosaic, mosaic_colour, read_mosaic
+from pipeline.capture.mosaic_signs import is_mosaic, mosaic_colour, read_mosaic, refuse_colour
+from pipeline.capture.pages import paged
+from pipeline.capture.radiometry import understand
 from pipeline.capture.stack import design_covariance, polariser_design
 from pipeline.capture.stokes_files import finished, holds_stokes, is_verbatim, mended, stokes_exr_loader
 from pipeline.errors import UserError
+from pipeline.image_parts import Page
 from pipeline.images import channel_names, image_size
 
 NO_CARRIERS = "mosaic.order has no crossed polarisers on the diagonals: each angle is interpolated on its own, less exactly"
@@ -35,6 +38,7 @@ class Sources:
     views: tuple[ViewSource, ...]
     groups: tuple[Group, ...]
     facts: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
 
     @property
     def holds_stokes(self) -> bool:
@@ -46,35 +50,47 @@ def discover(paths: list[Path], folder: Path, config: CaptureConfig, camera_of: 
 
     `kind` forces the understanding ("mosaic", "stack", "colour") where a layout or capture.toml says so.
     """
+    inner = paged(paths, config)
+    if inner:
+        groups = [Group(view_name(p, folder), {a: (Exposure(p, page=page),) for a, page in inner[p].items()}) for p in paths]
+        _refuse_clashes(groups, folder)
+        return _stacks(groups, config, camera_of)
     stokes = [p for p in paths if p.suffix.lower() == ".exr" and holds_stokes(channel_names(p))]
     if stokes:
         odd = sorted(set(paths) - set(stokes))
         if odd:
             raise UserError(odd[0], f"holds no Stokes channels while {len(stokes)} other images do", "export every image alike")
         groups = group_files(paths, folder, config, stacks=False)
+        known = understand(groups, config, "colour")
         views = tuple(
-            ViewSource(g.view, g.paths, camera_of(g), stokes_exr_loader(g.paths[0], config), image_size(g.paths[0]))
+            ViewSource(g.view, g.paths, camera_of(g), stokes_exr_loader(g.paths[0], known.config), image_size(g.paths[0]))
             for g in groups
         )
         refuse_duplicates((g.view, p) for g in groups for p in g.paths)
-        return Sources("stokes_files", views, tuple(groups))
+        return Sources("stokes_files", views, tuple(groups), known.facts, known.warnings)
     groups = group_files(paths, folder, config, stacks=kind in (None, "stack"))
     _refuse_clashes(groups, folder)
     if any(g.is_stack for g in groups):
         return _stacks(groups, config, camera_of)
     if kind == "mosaic" or (kind is None and is_mosaic([g.paths[0] for g in groups], config)):
+        refuse_colour([p for g in groups for p in g.paths], config)
         return _mosaics(groups, config, camera_of)
-    views = tuple(ViewSource(g.view, g.paths, camera_of(g), _colour_loader(g, config), size_of(g.paths[0])) for g in groups)
-    return Sources("colour", views, tuple(groups))
+    if config.mosaic != MosaicConfig():
+        refuse_colour([p for g in groups for p in g.paths], config)
+    known = understand(groups, config, "colour")
+    views = tuple(
+        ViewSource(g.view, g.paths, camera_of(g), _colour_loader(g, known.config), size_of(g.paths[0])) for g in groups
+    )
+    return Sources("colour", views, tuple(groups), known.facts, known.warnings)
 
 
-def size_of(path: Path) -> tuple[int, int]:
+def size_of(path: Path, page: Page | None = None) -> tuple[int, int]:
     """(width, height) as decoded; of a raw file the visible area."""
     if path.suffix.lower() in RAW_SUFFIXES:
         from pipeline.capture.raw import raw_size
 
         return raw_size(path)
-    return image_size(path)
+    return image_size(path, page)
 
 
 def _refuse_clashes(groups: list[Group], folder: Path) -> None:
@@ -105,29 +121,37 @@ def _stacks(groups: list[Group], config: CaptureConfig, camera_of: Camera_of) ->
                 "add the missing files, or remove the view",
             )
     angles = ", ".join(f"{a:g}" for a in usual.angles if a is not None)
-    views = tuple(
-        ViewSource(g.view, g.paths, camera_of(g), _stack_loader(g, config, camera_of(g)), size_of(g.paths[0])) for g in groups
-    )
-    return Sources("stack", views, tuple(groups), (f"stacks behind a polariser at {angles} degrees",))
+    known = understand(groups, config, "stack")
+
+    def source(g: Group) -> ViewSource:
+        page = next(iter(g.angles.values()))[0].page
+        loader = _stack_loader(g, known.config, camera_of(g))
+        return ViewSource(g.view, g.paths, camera_of(g), loader, size_of(g.paths[0], page), paged=page is not None)
+
+    inside = " (images of one file)" if any(e.page for es in usual.angles.values() for e in es) else ""
+    facts = (f"stacks behind a polariser at {angles} degrees{inside}", *known.facts)
+    return Sources("stack", tuple(map(source, groups)), tuple(groups), facts, known.warnings)
 
 
 def _mosaics(groups: list[Group], config: CaptureConfig, camera_of: Camera_of) -> Sources:
     colour = config.mosaic.colour or mosaic_colour([g.paths[0] for g in groups], config)
+    known = understand(groups, config, "mosaic", colour == "bayer")
     views = tuple(
-        ViewSource(g.view, g.paths, camera_of(g), _mosaic_loader(g, config, colour), size_of(g.paths[0])) for g in groups
+        ViewSource(g.view, g.paths, camera_of(g), _mosaic_loader(g, known.config, colour), size_of(g.paths[0])) for g in groups
     )
     order = " ".join(f"{a:g}" for a in config.mosaic.order[:2]) + " / " + " ".join(f"{a:g}" for a in config.mosaic.order[2:])
     return Sources(
         "mosaic",
         views,
         tuple(groups),
-        (f"polariser mosaic {order} ({'quad-Bayer ' + config.mosaic.bayer if colour == 'bayer' else 'monochrome'})",),
+        (f"polariser mosaic {order} ({'quad-Bayer ' + config.mosaic.bayer if colour == 'bayer' else 'monochrome'})", *known.facts),
+        known.warnings,
     )
 
 
 def _colour_loader(group: Group, config: CaptureConfig) -> Callable[[], DecodedView]:
     def load() -> DecodedView:
-        image = read_exposures(group.angles[None], config.radiometry)
+        image = read_exposures(group.angles[None], config.radiometry, view=group.view)
         rgb = np.ascontiguousarray(image.rgb(group.paths[0]))
         if config.radiometry.white_balance:
             rgb *= np.asarray(config.radiometry.white_balance, np.float32)
@@ -172,8 +196,9 @@ def _mosaic_loader(group: Group, config: CaptureConfig, colour: str) -> Callable
         stokes = apply_stokes_config(stokes, config.stokes)
         design = polariser_design(config.mosaic.order, extinction)
         view = DecodedView(
-            stokes=stokes, saturated=_block_any(image.saturated), design=design, covariance=design_covariance(design)
-        )
+            stokes=stokes, saturated=_block_any(image.saturated), alpha=image.alpha, design=design,
+            covariance=design_covariance(design),
+        )  # fmt: skip
         fault = order_fault(samples, config.mosaic.order)
         if not fault and config.mosaic.demosaic == "carriers" and not carries(config.mosaic.order):
             fault = NO_CARRIERS

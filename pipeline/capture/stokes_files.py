@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from pipeline.capture.config import CaptureConfig, RadiometryConfig, StokesConfi
 from pipeline.capture.frame import apply_stokes_config
 from pipeline.capture.model import DecodedView
 from pipeline.capture.pixels import LinearImage, fill_holes, read_linear
+from pipeline.capture.radiometry import factor_of
 from pipeline.errors import UserError
 from pipeline.images import STOKES
 
@@ -52,11 +53,13 @@ def stokes_exr_loader(path: Path, config: CaptureConfig) -> Callable[[], Decoded
 
 def is_verbatim(view: DecodedView, image: LinearImage, path: Path, names: tuple[str, ...], config: CaptureConfig) -> bool:
     """Whether an EXR file already is what decode would write of it: these channels, as they are."""
-    radiometry = replace(config.radiometry, encoding=None, saturation=None)
+    told = {f.name: getattr(config.radiometry, f.name) for f in fields(RadiometryConfig)}
+    radiometry = RadiometryConfig(**(told | {"encoding": None, "saturation": None, "exif_exposure": None}))
     return (
         path.suffix.lower() == ".exr"
         and set(names) <= set(image.names)
         and radiometry == RadiometryConfig()
+        and factor_of(config.radiometry, path) == 1
         and not view.faults
     )
 

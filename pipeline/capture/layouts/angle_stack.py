@@ -36,7 +36,7 @@ def read(root: Path, config: CaptureConfig) -> Capture:
         raise UserError(
             folder, "its names tell no polariser angles", "name files VIEW_000, VIEW_045, ... or set [stack] angles_deg"
         )
-    return assemble(root, "angle_stack", config, folder, sources.views, "stokes", facts=sources.facts)
+    return assemble(root, "angle_stack", config, folder, sources.views, "stokes", facts=sources.facts, warned=sources.warnings)
 
 
 LAYOUT = Layout("angle_stack", "images/VIEW_000.png, VIEW_045.png, ... (any three or more angles)", recognise, read)

@@ -30,7 +30,7 @@ def read(root: Path, config: CaptureConfig) -> Capture:
     """Open the capture."""
     folder, paths = pictures(root)
     sources = discover(paths, folder, config, lambda _: "camera", kind="mosaic")
-    return assemble(root, "mosaic", config, folder, sources.views, "stokes", facts=sources.facts)
+    return assemble(root, "mosaic", config, folder, sources.views, "stokes", facts=sources.facts, warned=sources.warnings)
 
 
 LAYOUT = Layout("mosaic", "images/ with single-channel 2x2 polariser mosaics (PNG, TIFF or raw)", recognise, read)

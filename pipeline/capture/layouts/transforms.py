@@ -7,6 +7,7 @@ import os
 from pathlib import Path
 from typing import Any, Literal
 
+from pipeline.bare_arrays import ARRAY_SUFFIXES
 from pipeline.cameras import Camera, camera_from_frame
 from pipeline.capture.assemble import find_plates
 from pipeline.capture.config import CaptureConfig
@@ -53,6 +54,7 @@ def read(root: Path, config: CaptureConfig) -> Capture:
     sources = discover(paths, folder, config, camera_of)
     if sources.kind == "stack" and any(_moves(g, folder, frame_of) for g in sources.groups):
         sources = discover(paths, folder, config, camera_of, kind="colour")  # names like angles, but each its own pose
+    warnings += sources.warnings
     cameras: dict[str, Camera] = {}
     masks: dict[str, Path] = {}
     views: list[ViewSource] = []
@@ -87,7 +89,7 @@ def read(root: Path, config: CaptureConfig) -> Capture:
     kind: Literal["stokes", "polarisers", "none"] = "stokes" if sources.holds_stokes else "polarisers" if told else "none"
     plates, plate_files = find_plates(root, config, tuple(views))
     environments = find_environments(root)
-    alpha = not masks and all_have_alpha([v.paths[0] for v in views])
+    alpha = not masks and all_have_alpha(views)
     name = {"stokes_files": "stokes_transforms", "colour": f"{'polarisers' if told else 'rgb'}_transforms"}
     return Capture(
         root, name.get(sources.kind, f"{sources.kind}_transforms"), "multiview", kind, sorted_views(views),
@@ -128,7 +130,7 @@ def frames_by_view(root: Path, folder: Path, frames: list[dict[str, Any]]) -> di
         out[relative] = frame
     for relative, frame in list(out.items()):
         path = Path(relative)
-        stem = path.with_suffix("").as_posix() if path.suffix.lower() in IMAGE_SUFFIXES else path.as_posix()
+        stem = path.with_suffix("").as_posix() if path.suffix.lower() in IMAGE_SUFFIXES | ARRAY_SUFFIXES else path.as_posix()
         out.setdefault(f"view:{stem.replace('/', '_')}", frame)
     return out
 
@@ -199,9 +201,12 @@ def physical_camera(frame: dict[str, Any], path: Path, folder: Path, config: Cap
     return named[0] if named else DEFAULT_CAMERA
 
 
-def all_have_alpha(paths: list[Path]) -> bool:
-    """Whether every image carries an alpha channel (headers only)."""
-    return all(p.suffix.lower() in (".png", ".tif", ".tiff", ".exr") and "A" in channel_names(p) for p in paths)
+def all_have_alpha(views: list[ViewSource]) -> bool:
+    """Whether every view's image carries an alpha channel (headers only)."""
+    files = [v.paths[0] for v in views if not v.paged]
+    return len(files) == len(views) and all(
+        p.suffix.lower() in (".png", ".tif", ".tiff", ".exr") and "A" in channel_names(p) for p in files
+    )
 
 
 LAYOUT = Layout(
