@@ -30,11 +30,11 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from pipeline.capture import Capture, open_capture
-from pipeline.capture.mosaic import demosaic
-from pipeline.capture.stack import polariser_design, solve_stack
-from pipeline.images import read_mask, read_stokes, write_stokes
-from pipeline.progress import Progress
-from pipeline.stage import StageRun
+from pipeline.capture.angle_stack.solve import polariser_design, solve_stack
+from pipeline.capture.mosaic.demosaic import demosaic
+from pipeline.engine.progress import Progress
+from pipeline.engine.stage import StageRun
+from pipeline.formats.images import read_mask, read_stokes, write_stokes
 
 ORDER = (90.0, 45.0, 135.0, 0.0)
 NOISE = 5e-4

@@ -22,11 +22,11 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from pipeline.cameras import Camera
 from pipeline.capture import Capture, open_capture
-from pipeline.images import read_image, read_mask
-from pipeline.progress import Progress
-from pipeline.stage import StageRun
+from pipeline.engine.progress import Progress
+from pipeline.engine.stage import StageRun
+from pipeline.formats.images import read_image, read_mask
+from pipeline.geometry.cameras import Camera
 from stages.masks.background import segment
 from stages.masks.clean_plate import difference_mask
 from stages.masks.grabcut import grabcut_centre

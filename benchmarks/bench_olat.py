@@ -20,11 +20,11 @@ import numpy as np
 from benchmarks import olat_forms, olat_frames, olat_noise, olat_plots, olat_zoo
 from benchmarks.olat_pixels import angle_deg, make, rig_of
 from benchmarks.olat_settings import AT, SETTINGS, timed
-from pipeline.lights.solid_angles import solid_angles
-from pipeline.lights.tables import table_from_positions
-from stages.olat.columns import FLAG
-from stages.olat.fit import fit
-from stages.olat.zoo import SOLVERS
+from pipeline.rig.solid_angles import solid_angles
+from pipeline.rig.tables import table_from_positions
+from stages.olat.pixel_fit.many_pixels import fit
+from stages.olat.pixel_fit.result_layout import FLAG
+from stages.olat.zoo.solvers import SOLVERS
 
 RESULTS = Path(__file__).parent / "results"
 PARTS = ("speed", "lights", "forms", "noise", "frames", "zoo")

@@ -24,8 +24,8 @@ import pipeline  # noqa: F401 - loads zlib before pycolmap does
 import stages.calib.decode.stage as decode
 import stages.calib.poses.stage as poses
 from pipeline.capture import open_capture
-from pipeline.capture.files import image_folder
-from pipeline.stage import StageRun
+from pipeline.capture.naming.files import image_folder
+from pipeline.engine.stage import StageRun
 
 PLAIN_SIZE = 1600
 

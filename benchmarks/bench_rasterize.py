@@ -26,7 +26,7 @@ import torch
 from torch import Tensor
 
 from stages.train.rasterize import Raster, rasterize
-from stages.train.render import LAYER, SCREEN_FILTER
+from stages.train.render_view import LAYER, SCREEN_FILTER
 
 TARGETS = {"forward_ms": (25, 8), "forward_backward_ms": (80, 25), "times_reference": (50, 200)}  # must, aim
 INPUTS = ("means", "quats", "scales", "opacities", "features")

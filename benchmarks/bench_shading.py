@@ -22,13 +22,13 @@ import numpy as np
 import torch
 
 from pipeline.capture import open_capture
-from pipeline.images import read_image, read_mask
-from pipeline.lighting import LightField, Occlusion, Prefilter, latlong, shade, shading
-from pipeline.lighting.cube import cube_directions
-from pipeline.lighting.gridmap import GridMap
-from pipeline.lighting.occluder import Occluder
-from pipeline.lighting.visibility import Transfer
+from pipeline.formats.images import read_image, read_mask
+from pipeline.geometry.occluder import Occluder
 from pipeline.optics import microfacet, sphere, stokes
+from pipeline.shading import LightField, Occlusion, Prefilter, latlong, shade, shading
+from pipeline.shading.cube import cube_directions
+from pipeline.shading.gridmap import GridMap
+from pipeline.shading.transfer import Transfer
 
 CASES = (
     ("ggx", "schlick", "split"), ("ggx", "exact", "split"), ("ggx", "exact", "lobe-24"),

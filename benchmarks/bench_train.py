@@ -39,7 +39,7 @@ ABLATIONS: dict[str, dict[str, Any]] = {
     "Schlick": {"fresnel": "schlick"},
     "GGX lobe": {"lobe": "ggx"},
     "no occlusion": {"occlusion": False},
-    "no recesses": {"recesses": "off"},
+    "no concavities": {"concavities": "off"},
     "environment 16": {"environment_resolution": 16},
     "environment 64": {"environment_resolution": 64},
 }
@@ -48,9 +48,9 @@ ABLATIONS: dict[str, dict[str, Any]] = {
 def sources_of(folder: Path, scratch: Path) -> tuple[list[Any], str, str]:
     """Decoded views of a capture (through the pipeline's own stages), their mode and the up axis."""
     from pipeline.capture import open_capture
-    from pipeline.plan import load_stages
-    from pipeline.stage import StageRun
-    from stages.train.data import load_sources
+    from pipeline.engine.plan import load_stages
+    from pipeline.engine.stage import StageRun
+    from stages.train.views.data import load_sources
 
     capture = open_capture(folder)
     modules = {"decode": "stages.calib.decode", "poses": "stages.calib.poses", "masks": "stages.masks"}
@@ -90,11 +90,11 @@ def figures(trainer: Any, sources: list[Any], truth: list[Any], folder: Path) ->
     """PSNR, normal, DoLP, material and environment errors on the test views against full Stokes truth and gt/."""
     import torch
 
-    from pipeline.images import read_image
-    from pipeline.lighting import latlong
-    from stages.train.data import prepare
+    from pipeline.formats.images import read_image
+    from pipeline.shading import latlong
     from stages.train.evaluate import psnr
-    from stages.train.render import mean_normals
+    from stages.train.render_view import mean_normals
+    from stages.train.views.data import prepare
 
     openings = any(view.openings > 0 for view in trainer.pyramids[0])
     values: dict[str, list[float]] = {}
@@ -142,11 +142,11 @@ def train_once(
     import torch
 
     from pipeline.capture.model import PolariserPrior
-    from pipeline.progress import Progress
-    from stages.train.angle_search import search_angles
+    from pipeline.engine.progress import Progress
     from stages.train.parameters import TrainParameters
     from stages.train.setup import prepare_training
     from stages.train.trainer import Trainer
+    from stages.train.views.angle_search import search_angles
 
     torch.set_num_threads(1)
     parameters = replace(TrainParameters(), **changes)

@@ -12,9 +12,9 @@ from benchmarks.olat_pixels import Pixels, angle_deg, make, unit
 from benchmarks.olat_settings import AT, SETTINGS, timed
 from pipeline.capture import open_capture
 from pipeline.capture.model import LightTable
-from pipeline.images import read_image
-from pipeline.lights.solid_angles import solid_angles
-from stages.olat.fit import fit
+from pipeline.formats.images import read_image
+from pipeline.rig.solid_angles import solid_angles
+from stages.olat.pixel_fit.many_pixels import fit
 
 FORMS = {
     "default": {},

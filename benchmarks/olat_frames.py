@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 
 from benchmarks.olat_pixels import VIEW, make, rig_of, unit
-from pipeline.images import read_mask, write_exr, write_mask
-from stages.olat.bands import bands_of
-from stages.olat.frames import is_half, read_bands
+from pipeline.formats.images import read_mask, write_exr, write_mask
+from stages.olat.reading.frame_reader import is_half, read_bands
+from stages.olat.reading.scanline_bands import bands_of
 from stages.olat.stage import OlatParameters
 
 REPEATS = 5

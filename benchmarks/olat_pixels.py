@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.capture.model import LightTable
-from pipeline.lights.solid_angles import fibonacci_sphere, solid_angles
+from pipeline.rig.solid_angles import fibonacci_sphere, solid_angles
 
 Float = NDArray[np.float64]
 

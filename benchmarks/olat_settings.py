@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from stages.olat.columns import columns
+from stages.olat.pixel_fit.fit_options import Settings
+from stages.olat.pixel_fit.result_layout import columns
 from stages.olat.run import GAIN, MIXED, PRIOR
-from stages.olat.settings import Settings
 
 AT = columns()
 SETTINGS = Settings(

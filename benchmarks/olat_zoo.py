@@ -11,10 +11,10 @@ import numpy as np
 
 from benchmarks.olat_pixels import Pixels, ward
 from benchmarks.olat_settings import AT, SETTINGS, timed
-from stages.olat.diffuse import fit_normal
-from stages.olat.fit import fit
-from stages.olat.lobe_fit import linear_albedo
-from stages.olat.zoo import applies, scaled, solve
+from stages.olat.pixel_fit.diffuse import fit_normal
+from stages.olat.pixel_fit.lobe_fit import linear_albedo
+from stages.olat.pixel_fit.many_pixels import fit
+from stages.olat.zoo.solvers import applies, scaled, solve
 
 PUBLISHED = {  # PRF Table 3, RTX A6000: seconds a pixel, gradient norm
     "lbfgs-backtracking": {"n_d": (1.54e-6, 3.60e-4), "rho_d": (1.63e-6, 3.73), "n_s": (1.75e-5, 2.02e-3),
@@ -59,7 +59,7 @@ def gradient_norms(quantity: str, x: np.ndarray, problem: dict[str, np.ndarray])
 
 
 def objective(quantity: str, x: np.ndarray, p: dict[str, np.ndarray]) -> float:
-    """PRF's objectives in float64 numpy (the independent twin of stages.olat.objectives)."""
+    """PRF's objectives in float64 numpy (the independent twin of stages.olat.zoo.objectives)."""
     w, use, data = p["w"], p["use"], p["data"]
     if quantity in ("n_d", "n_s"):
         n = x / np.linalg.norm(x)

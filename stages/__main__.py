@@ -2,7 +2,7 @@
 
 import sys
 
-from pipeline.cli import main as run_command
+from pipeline.engine.cli import main as run_command
 from stages import STAGES
 
 

@@ -48,7 +48,8 @@ def main() -> int:
     a = parser.parse_args()
     a.lights = a.lights or (LIGHTS_ANISOTROPIC if a.only == "anisotropic" else LIGHTS)
     try:
-        from . import lightstage, views
+        from . import stage_capture as lightstage
+        from . import view_capture as views
 
         try:
             import mitsuba  # noqa: F401

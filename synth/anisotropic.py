@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from pipeline.errors import UserError
 
-from .lightstage import Subject, make
 from .shape import Shape, vase, vertex_normals
+from .stage_capture import Subject, make
 
 WIDTHS = (0.12, 0.4)  # Beckmann widths along u and v
 NOISE, CLIP = 3e-3, 2.0

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.images import srgb_decode, srgb_encode
+from pipeline.formats.images import srgb_decode, srgb_encode
 
 SIGMAS = 4.0
 """Standard errors that the share must be away from one half. Decided wrongly once in 30 000 captures if errors were normal."""

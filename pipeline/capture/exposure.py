@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from pipeline.capture.config import RadiometryConfig
-from pipeline.capture.files import RAW_SUFFIXES, count, some
+from pipeline.capture.naming.files import RAW_SUFFIXES, count, some
 from pipeline.errors import UserError
-from pipeline.images import _open
+from pipeline.formats.images import _open
 
 SAME = 0.02
 """Relative difference below which two exposures are one: headers round shutter times and f-numbers to about 1 %."""
@@ -70,7 +70,7 @@ def read_exposure(path: Path) -> HeaderExposure:
     """From a file's header; nothing where it has none or is not readable here (the reader says why)."""
     try:
         if path.suffix.lower() in RAW_SUFFIXES:
-            from pipeline.capture.raw import raw_exposure
+            from pipeline.capture.pixels.raw import raw_exposure
 
             return HeaderExposure(*raw_exposure(path))
         image = _open(path)

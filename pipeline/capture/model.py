@@ -10,8 +10,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.cameras import Camera
 from pipeline.capture.config import CaptureConfig
+from pipeline.geometry.cameras import Camera
 
 
 @dataclass(frozen=True)

@@ -9,15 +9,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.capture.angle_stack.solve import polariser_design
 from pipeline.capture.code_range import code_range, moved_up, some_of
 from pipeline.capture.config import CaptureConfig, RadiometryConfig
 from pipeline.capture.encoding_check import find_encoding, impossible_share, mosaic_codes, stack_codes
 from pipeline.capture.exposure import HeaderExposure, check_names, even_out, exposure_of, read_exposure
-from pipeline.capture.files import RAW_SUFFIXES, count, some
-from pipeline.capture.grouping import Exposure, Group
-from pipeline.capture.stack import polariser_design
+from pipeline.capture.naming.files import RAW_SUFFIXES, count, some
+from pipeline.capture.naming.grouping import Exposure, Group
 from pipeline.errors import UserError
-from pipeline.images import _open, srgb_decode
+from pipeline.formats.images import _open, srgb_decode
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ def _header(exposure: Exposure) -> _Header:
 
 def _brightness(exposure: Exposure, config: CaptureConfig, kind: str) -> float | None:
     """Mean of the middle of a picture in linear light; None where it cannot be read (its reader says why)."""
-    from pipeline.capture.pixels import read_linear
+    from pipeline.capture.pixels.linear import read_linear
 
     try:
         pixels = read_linear(exposure.path, config.radiometry, kind == "mosaic", exposure.page).pixels
@@ -185,7 +185,7 @@ def _encodings(
 
 def _encoding_of(group: Group, config: CaptureConfig, kind: str, bayer: bool, usual: str) -> str | None:
     """What one view's codes tell; None where they do not."""
-    from pipeline.capture.pixels import read_linear
+    from pipeline.capture.pixels.linear import read_linear
 
     plain = replace(config.radiometry, encoding="linear", dark_frame=None, flat_field=None, factors={}, encodings={})  # type: ignore[call-arg]
     try:

@@ -7,9 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from pipeline.capture.config import load_config
-from pipeline.capture.files import UNREADABLE, some
 from pipeline.capture.layouts import all_layouts
 from pipeline.capture.model import Capture
+from pipeline.capture.naming.files import UNREADABLE, some
 from pipeline.errors import UserError
 
 SHOWN = 12

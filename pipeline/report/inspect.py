@@ -10,16 +10,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.cameras import Camera
 from pipeline.capture import Capture
-from pipeline.changes import WORDS, State, outlook, standing
+from pipeline.engine.changes import WORDS, State, outlook, standing
+from pipeline.engine.plan import Step, plan_as_json
 from pipeline.errors import UserError
-from pipeline.images import read_image, write_fault
-from pipeline.plan import Step, plan_as_json
+from pipeline.formats.images import read_image, write_fault
+from pipeline.geometry.cameras import Camera
 
 from . import pictures
+from .model_pictures import AOLP_FULL, DOLP_FULL, exposure_of, picture, polarisation
 from .page import render
-from .views import AOLP_FULL, DOLP_FULL, exposure_of, picture, polarisation
 
 SHOWN = 6  # views whose pixels are looked at
 LONGEST = 288  # px
@@ -189,7 +189,7 @@ def _environment(path: Path) -> dict[str, str]:
 
 def scene_of(capture: Capture) -> dict[str, Any]:
     """Cameras (frustum corners) and lights in a y-up frame scaled to radius 1, for the 3D drawing."""
-    from pipeline.lights.environment import Y_UP_FROM
+    from pipeline.rig.latlong_lights import Y_UP_FROM
 
     turn = Y_UP_FROM[capture.up]
     cameras: dict[str, Camera] = dict(capture.cameras or {})

@@ -9,8 +9,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from pipeline.progress import clock
-from pipeline.stage import StageRun
+from pipeline.engine.progress import clock
+from pipeline.engine.stage import StageRun
 
 from .curves import line_chart
 from .figures import headlines, tables, text_of
@@ -50,13 +50,13 @@ def write_report(run: StageRun, metrics: dict[str, Any], manifests: Mapping[str,
         "packages": dict(sorted({k: v for m in manifests.values() for k, v in m.get("packages", {}).items()}.items())),
     }  # fmt: skip
     if "train" in run.inputs:
-        from . import views
+        from . import model_pictures as views
 
         context["views"] = views.view_cards(run, metrics)
         context["environment"] = views.environment_pictures(run)
         context["relit"] = views.relit_cards(run, metrics) if "relight" in run.inputs else []
     if "olat" in run.inputs:
-        from . import lightstage
+        from . import rig_pictures as lightstage
 
         context["olat"] = lightstage.olat_cards(run, metrics)
         context["relit"] = lightstage.relit_cards(run) if "relight" in run.inputs else []

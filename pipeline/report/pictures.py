@@ -8,7 +8,7 @@ import io
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.images import srgb_encode
+from pipeline.formats.images import srgb_encode
 
 # Anchor colours (sRGB) of two perceptually even scales, dark to light.
 INFERNO = (

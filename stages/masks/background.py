@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.cameras import Camera
+from pipeline.geometry.cameras import Camera
 from stages.masks.colour_model import MAX_LOG_ODDS, ColourSpace, colour_log_odds
 from stages.masks.volume import NOTHING, Grid, Projections, ray_maxima, stack_padded, voxel_scores
 

@@ -6,10 +6,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.capture.pixels import read_linear
+from pipeline.capture.pixels.linear import read_linear
+from pipeline.engine.stage import StageRun
 from pipeline.errors import UserError
-from pipeline.lens import Straightener, lenses
-from pipeline.stage import StageRun
+from pipeline.geometry.lens import Straightener, lenses
 from stages.masks.background import tidy
 from stages.masks.segment import frame_s0
 

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.images import srgb_encode
+from pipeline.formats.images import srgb_encode
 
 ROUNDS = 5
 BORDER = 0.04

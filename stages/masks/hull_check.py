@@ -12,7 +12,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.cameras import Camera
+from pipeline.geometry.cameras import Camera
 from stages.masks.background import BALL_MARGIN, Fixation, fixation
 from stages.masks.volume import Grid, Projections, stack_padded
 

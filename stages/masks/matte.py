@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.capture import LightStageCamera
+from pipeline.engine.stage import StageRun
 from pipeline.errors import UserError
-from pipeline.images import read_image
-from pipeline.stage import StageRun
+from pipeline.formats.images import read_image
 from stages.masks.background import tidy
 from stages.masks.clean_plate import hysteresis
 

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.cameras import Camera
-from pipeline.capture.files import some
+from pipeline.capture.naming.files import some
+from pipeline.engine.stage import StageRun
 from pipeline.errors import UserError
-from pipeline.images import read_image, read_stokes, write_png
-from pipeline.lens import Straightener, frame_table, frames_folder, lenses
-from pipeline.stage import StageRun
+from pipeline.formats.images import read_image, read_stokes, write_png
+from pipeline.geometry.cameras import Camera
+from pipeline.geometry.lens import Straightener, frame_table, frames_folder, lenses
 from stages.masks.stage import choose_method
 
 THRESHOLD = 127
@@ -124,7 +124,7 @@ def light_stage_masks(stage: StageRun, method: str) -> dict[str, tuple[NDArray[n
 
 
 def multiview_masks(stage: StageRun, method: str) -> dict[str, tuple[NDArray[np.uint8], str]]:
-    """One mask per view, in the frames' geometry (pipeline.lens); what the method leaves out is segmented."""
+    """One mask per view, in the frames' geometry (pipeline.geometry.lens); what the method leaves out is segmented."""
     frames, bent = frame_table(stage.inputs), lenses(stage.inputs)
     out: dict[str, tuple[NDArray[np.uint8], str]] = {}
     if method == "none":

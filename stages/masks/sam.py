@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.cameras import Camera
+from pipeline.engine.stage import StageRun
 from pipeline.errors import UserError
-from pipeline.stage import StageRun
+from pipeline.geometry.cameras import Camera
 from stages.masks.background import Fixation, fixation, tidy
 from stages.masks.grabcut import display
 from stages.masks.segment import frame_s0

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.cameras import Camera, load_cameras
-from pipeline.images import read_image
-from pipeline.lens import frames_folder
-from pipeline.stage import StageRun
+from pipeline.engine.stage import StageRun
+from pipeline.formats.images import read_image
+from pipeline.geometry.cameras import Camera, load_cameras
+from pipeline.geometry.lens import frames_folder
 
 MIN_VIEWS = 4
 """Below this the views' agreement says little: each is segmented on its own."""

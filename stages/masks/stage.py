@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from pipeline.capture import Capture
-from pipeline.stage import Decision, Stage, StageRun
+from pipeline.engine.stage import Decision, Stage, StageRun
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.cameras import Camera
+from pipeline.geometry.cameras import Camera
 
 NOTHING = -1e9
 """Score of a ray that misses the grid."""

@@ -60,7 +60,7 @@ def bake(mesh: Mesh, views: Iterable[DepthView], tolerance: float) -> tuple[Mesh
 
 def vertex_table(mesh: Mesh) -> tuple[list[str], NDArray[np.float32], NDArray[np.uint8]]:
     """Names and values [V, n] of a mesh's float vertex properties, and display colours [V, 3]."""
-    from pipeline.images import srgb_encode
+    from pipeline.formats.images import srgb_encode
 
     material = mesh.attributes["material"]
     values = np.concatenate([mesh.vertices.astype(np.float32), mesh.attributes["normal"], material], -1)

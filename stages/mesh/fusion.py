@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from . import kernels
+from . import fusion_kernel as kernels
 from .gbuffer import DepthView
 
 BLOCK = 8  # voxels along a block's edge

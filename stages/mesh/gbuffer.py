@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.cameras import Camera
 from pipeline.errors import UserError
-from pipeline.images import read_image
+from pipeline.formats.images import read_image
+from pipeline.geometry.cameras import Camera
 
 Image = NDArray[np.float32]
 SOLID = 0.5  # of the opacity: where transmittance falls to one half there is a surface

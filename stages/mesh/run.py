@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.cameras import load_cameras
+from pipeline.engine.stage import StageRun
 from pipeline.errors import UserError
-from pipeline.stage import StageRun
+from pipeline.geometry.cameras import load_cameras
 
 from .attributes import bake, vertex_table
 from .clean import Mesh, fill_holes, in_fixed_order, keep_faces, largest_pieces, without_slivers

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.images import srgb_encode
+from pipeline.formats.images import srgb_encode
 
 DISPLAY_HEIGHT, LOG_HEIGHT = 64, 16
 LOG_FLOOR = 0.02  # radiance below which differences are of no consequence beside the sky

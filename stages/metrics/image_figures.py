@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.images import srgb_encode
+from pipeline.formats.images import srgb_encode
 
 Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import UserError
-from pipeline.images import read_exr, read_image
+from pipeline.formats.images import read_exr, read_image
 
 from .image_figures import angle_deg, erode
 from .table import Table

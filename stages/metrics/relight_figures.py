@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.images import read_image, read_mask, srgb_encode
+from pipeline.formats.images import read_image, read_mask, srgb_encode
 
 from .image_figures import psnr, ssim
 from .table import Table

@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from pipeline.lens import frames_folder
-from pipeline.stage import StageRun
+from pipeline.engine.stage import StageRun
+from pipeline.geometry.lens import frames_folder
 
 from .mesh_figures import mesh_table
 from .olat_figures import olat_table

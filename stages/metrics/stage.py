@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from pipeline.capture import Capture
-from pipeline.stage import Decision, Stage, StageRun
+from pipeline.engine.stage import Decision, Stage, StageRun
 
 
 @dataclass(frozen=True)

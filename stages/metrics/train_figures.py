@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.images import read_exr, read_image, read_stokes
+from pipeline.formats.images import read_exr, read_image, read_stokes
 
 from .environment_figures import environment_figures
 from .image_figures import erode, normal_figures, polarisation_figures, radiance_figures

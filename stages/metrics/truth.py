@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.backdrop import object_pixels
 from pipeline.errors import UserError
-from pipeline.images import channel_names, image_size, read_image, read_stokes
+from pipeline.formats.backdrop import object_pixels
+from pipeline.formats.images import channel_names, image_size, read_image, read_stokes
 
 XYZ, RGB = ("X", "Y", "Z"), ("R", "G", "B")
 

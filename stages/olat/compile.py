@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from .fit import load
-from .zip_frames import unpack_kernel
+from .pixel_fit.many_pixels import load
+from .reading.zip_frames import unpack_kernel
 
 
 def main() -> None:

@@ -15,23 +15,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.cameras import Camera
 from pipeline.capture.model import LightTable
-from pipeline.lights.lobe_names import LOBES
-from pipeline.lights.solid_angles import solid_angles
-from pipeline.stage import StageRun
-from stages.olat.bands import Band, parts_of
-from stages.olat.cameras import PILOT, CameraJob, decoded
-from stages.olat.columns import FLAG, RESIDUAL, columns
-from stages.olat.drift import WARN_PX, Drift
-from stages.olat.fit import fit, load, ready
-from stages.olat.footprint import with_neighbours
-from stages.olat.frames import Samples, ahead
-from stages.olat.maps_out import MapWriter
-from stages.olat.preview import write_preview
-from stages.olat.settings import SPECULAR_FITS, Settings
+from pipeline.engine.stage import StageRun
+from pipeline.geometry.cameras import Camera
+from pipeline.rig.lobe_names import LOBES
+from pipeline.rig.solid_angles import solid_angles
+from stages.olat.maps.footprint import with_neighbours
+from stages.olat.maps.map_files import MapWriter
+from stages.olat.maps.preview import write_preview
+from stages.olat.pixel_fit.fit_options import SPECULAR_FITS, Settings
+from stages.olat.pixel_fit.many_pixels import fit, load, ready
+from stages.olat.pixel_fit.result_layout import FLAG, RESIDUAL, columns
+from stages.olat.reading.frame_reader import Samples, ahead
+from stages.olat.reading.misregistration import WARN_PX, Drift
+from stages.olat.reading.rig_cameras import PILOT, CameraJob, decoded
+from stages.olat.reading.scanline_bands import Band, parts_of
+from stages.olat.reading.stream import Lanes, Piece
 from stages.olat.stage import OlatParameters, every
-from stages.olat.stream import Lanes, Piece
 
 FLAGS = ("good", "too few lights", "saturated", "black", "no lobe", "bad samples")
 PRIOR = (1 / np.radians(0.5)) ** 2  # n_s and n_d of one surface agree to about half a degree
@@ -230,7 +230,7 @@ def fit_part(
     points = nearest_points(job.camera, view) if stage.capture.config.olat.near_light else None
     rows, _ = fit(samples.cross, samples.parallel, view, rig, settings, parameters.precision, points, threads, part)
     if parameters.solver not in ("closed", "gradient"):
-        from stages.olat.paper_chain import solve_band
+        from stages.olat.zoo.paper_chain import solve_band
 
         own = slice(*part)
         solve_band(parameters.solver, samples.cross[:, own], samples.parallel[:, own], view[own], rig, settings, rows)

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from pipeline.capture import Capture
-from pipeline.stage import Decision, Stage, StageRun
+from pipeline.engine.stage import Decision, Stage, StageRun
 
 Solver = Literal[
     "closed", "lbfgs-backtracking", "lbfgs-zoom", "lbfgs-hager-zhang", "gd", "ncg", "gauss-newton", "gradient"
@@ -102,7 +102,7 @@ def capture_files(capture: Capture) -> Iterable[Path]:
 
 def run(stage: StageRun) -> None:
     """Write camNN/ with its maps and preview.png for every camera."""
-    from stages.olat.stream import reading
+    from stages.olat.reading.stream import reading
 
     with reading(stage) as lanes:
         from stages.olat.run import run as fit_all  # the frames are on their way meanwhile

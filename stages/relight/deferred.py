@@ -10,8 +10,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from pipeline.lighting import LightField, Prefilter, latlong, shade
-from pipeline.lights.environment import Y_UP_FROM
+from pipeline.rig.latlong_lights import Y_UP_FROM
+from pipeline.shading import LightField, Prefilter, latlong, shade
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import UserError
-from pipeline.images import read_image
+from pipeline.formats.images import read_image
 
 RGB = ("R", "G", "B")
 

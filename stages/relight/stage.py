@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from pipeline.capture import Capture
-from pipeline.stage import Decision, Stage, StageRun
+from pipeline.engine.stage import Decision, Stage, StageRun
 
 MIN_TRAINING_VIEWS = 8  # as the train stage: fewer have no model
 
@@ -56,11 +56,11 @@ def needed(capture: Capture, parameters: RelightParameters) -> Decision:
 def run(run: StageRun) -> None:
     """Write ENV/VIEW.exr (or ENV/camNN.exr and ENV/camNN_olat.exr) for every map."""
     if run.capture.kind == "light_stage":
-        from .lightstage import relight_stage
+        from .camera_images import relight_stage
 
         relight_stage(run)
     else:
-        from .views import relight_views
+        from .view_images import relight_views
 
         relight_views(run)
 

@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.cameras import Camera
-from pipeline.images import srgb_encode, write_png
-from pipeline.lights.environment import Y_UP_FROM
-from pipeline.stage import StageRun
+from pipeline.engine.stage import StageRun
+from pipeline.formats.images import srgb_encode, write_png
+from pipeline.geometry.cameras import Camera
+from pipeline.rig.latlong_lights import Y_UP_FROM
 
 from .deferred import Lamp, Surface
 
 if TYPE_CHECKING:
-    from .occlusion import SelfOcclusion
+    from .mesh_shadows import SelfOcclusion
 
 SUPERSAMPLE = 2  # rays across a pixel
 FRAME_MS = 60
@@ -107,7 +107,7 @@ def _diffuse_occlusion(values: NDArray) -> Any:
     """Shadow and bounced light as shading takes them; reflections go free."""
     import torch
 
-    from pipeline.lighting import Occlusion
+    from pipeline.shading import Occlusion
 
     both = torch.as_tensor(np.ascontiguousarray(values, np.float32))
     ones = torch.ones(len(values))

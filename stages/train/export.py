@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from pipeline.images import STOKES, write_exr, write_rgb
+from pipeline.formats.images import STOKES, write_exr, write_rgb
 
-from .data import View
-from .frame import SceneFrame
-from .model import SplatModel, to_numpy
-from .polarisers import PolariserBank
-from .render import Rendered
+from .render_view import Rendered
+from .splats.gaussians import SplatModel, to_numpy
+from .views.data import View
+from .views.polarisers import PolariserBank
+from .views.training_frame import SceneFrame
 
 SH_C0 = 0.28209479177387814  # zeroth spherical harmonic: viewers show 0.5 + SH_C0 * f_dc
 
@@ -132,7 +132,7 @@ def _rotated(quaternions: np.ndarray, rotation: np.ndarray) -> np.ndarray:
 
 def write_environment(path: Path, radiance: torch.Tensor, frame: SceneFrame, height: int = 256) -> None:
     """env.exr: latitude-longitude, linear, y up, in the capture's radiance. The training frame is y up already."""
-    from pipeline.lighting import latlong
+    from pipeline.shading import latlong
 
     cube = radiance.detach().cpu().double().numpy() / frame.exposure
     image = latlong.from_cube(cube, height, 2 * height)

@@ -19,7 +19,7 @@ class TrainParameters:
     seed: int = _p(0, "seed of every random choice")
     max_splats: int = _p(34000, "upper bound of the number of Gaussians (count)")
     densify: bool = _p(True, "remove splats that never show and add some where the images pull hardest")
-    recesses: Literal["auto", "on", "off"] = _p(
+    concavities: Literal["auto", "on", "off"] = _p(
         "auto", "look for hollows that no silhouette shows, by what the images agree on at other depths; auto: with full Stokes"
     )
     start: Literal["auto", "hull", "points"] = _p(
@@ -65,6 +65,6 @@ class TrainParameters:
         if self.max_splats < 100:
             raise ValueError("max_splats must be at least 100")
 
-    def searches_recesses(self, mode: str) -> bool:
+    def searches_concavities(self, mode: str) -> bool:
         """Whether hollows are looked for in data of this mode ("stokes", "polarisers", "none")."""
-        return self.recesses == "on" or (self.recesses == "auto" and mode == "stokes")
+        return self.concavities == "on" or (self.concavities == "auto" and mode == "stokes")

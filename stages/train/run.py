@@ -16,20 +16,20 @@ os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 import numpy as np
 import torch
 
-from pipeline.lens import frames_folder
-from pipeline.progress import Bar
+from pipeline.engine.progress import Bar
+from pipeline.geometry.lens import frames_folder
 
 from . import checkpoint, export
-from .angle_search import search_angles
-from .data import SourceView, View, load_sources, prepare
 from .initialise.points import read_points
 from .parameters import TrainParameters
-from .render import mean_normals
+from .render_view import mean_normals
 from .setup import NO_POINTS, Start, prepare_training
 from .trainer import CYCLE, Trainer
+from .views.angle_search import search_angles
+from .views.data import SourceView, View, load_sources, prepare
 
 if TYPE_CHECKING:
-    from pipeline.stage import StageRun
+    from pipeline.engine.stage import StageRun
 
 
 @dataclass
@@ -66,7 +66,7 @@ def train(stage: StageRun) -> None:
     write_log(stage.output / "train_log.csv", history.rows)
     stage.note("splats", len(trainer.scene.model))
     stage.note("iterations", trainer.iteration)
-    stage.note("recessed", [round(share, 4) for share in trainer.recessed])
+    stage.note("hollowed", [round(share, 4) for share in trainer.hollowed])
     stage.note("openings", round(openings_share(trainer), 5))
     checkpoint.clear(stage.scratch)
 

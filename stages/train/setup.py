@@ -10,7 +10,16 @@ import torch
 
 from pipeline.capture.model import PolariserPrior
 
-from .data import (
+from .initialise.hull import HullMesh, Silhouette, occupancy, signed_distance
+from .initialise.openings import OpeningView, cut_openings
+from .initialise.sampling import mesh_area, sample_evenly, wanted_count
+from .initialise.silhouettes import are_masks, outline
+from .initialise.start import start_surface
+from .log_environment import Environment
+from .parameters import TrainParameters
+from .splats.gaussians import SplatModel, logit
+from .trainer import Scene
+from .views.data import (
     Mode,
     SourceView,
     View,
@@ -23,17 +32,8 @@ from .data import (
     prepare,
     with_validation,
 )
-from .environment import Environment
-from .frame import SceneFrame
-from .initialise.hull import HullMesh, Silhouette, occupancy, signed_distance
-from .initialise.openings import OpeningView, cut_openings
-from .initialise.outline import are_masks, outline
-from .initialise.sampling import mesh_area, sample_evenly, wanted_count
-from .initialise.start import start_surface
-from .model import SplatModel, logit
-from .parameters import TrainParameters
-from .polarisers import PolariserBank
-from .trainer import Scene
+from .views.polarisers import PolariserBank
+from .views.training_frame import SceneFrame
 
 START_ALBEDO, START_ROUGHNESS, START_IOR = 0.35, 0.35, 1.5  # an everyday dielectric
 MEAN_EXPOSED = 0.25  # mean foreground radiance in the training exposure

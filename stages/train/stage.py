@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pipeline.capture import Capture
-from pipeline.stage import Decision, Stage, StageRun
+from pipeline.engine.stage import Decision, Stage, StageRun
 
 from .parameters import TrainParameters
 
@@ -31,10 +31,10 @@ def needed(capture: Capture, parameters: TrainParameters) -> Decision:
     }[mode]
     angles = Decision(bool(unknown), ", ".join(map(told, unknown)) if unknown else "no unknown polariser angle")
     occlusion = Decision(parameters.occlusion, "decided from the trained shape" if parameters.occlusion else "switched off")
-    why = "switched on" if parameters.recesses == "on" else "full Stokes tells hollows from the hull"
-    why_not = "switched off" if parameters.recesses == "off" else "only full Stokes is evidence enough"
-    recesses = Decision(True, why) if parameters.searches_recesses(mode) else Decision(False, why_not)
-    passes = {"polarisation_loss": polarised, "polariser_angles": angles, "occlusion": occlusion, "recesses": recesses}
+    why = "switched on" if parameters.concavities == "on" else "full Stokes tells hollows from the hull"
+    why_not = "switched off" if parameters.concavities == "off" else "only full Stokes is evidence enough"
+    concavities = Decision(True, why) if parameters.searches_concavities(mode) else Decision(False, why_not)
+    passes = {"polarisation_loss": polarised, "polariser_angles": angles, "occlusion": occlusion, "concavities": concavities}
     return Decision(True, f"{len(capture.views)} views of one object", passes)
 
 

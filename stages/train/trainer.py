@@ -8,31 +8,39 @@ from typing import Any
 
 import torch
 
-from pipeline.lighting import LightField, Occlusion, Prefilter
+from pipeline.shading import LightField, Occlusion, Prefilter
 
-from . import losses
-from .data import Mode, View
-from .densify import Activity, edges_to_split, keep, kept_rows, split_edges
-from .environment import Environment
 from .evaluate import psnr
-from .exchange import Exchange
-from .frame import SceneFrame
-from .graph import SurfaceGraph, build_graph
 from .initialise.hull import HullMesh
-from .model import SplatModel, Splats
-from .occlusion import LEAST_BLOCKED, Occluder, SplatOcclusion, carried_hull, trace_pixels, trace_splats, view_occlusion
-from .optimiser import Group, SurfaceAdam
+from .log_environment import Environment
 from .parameters import TrainParameters
-from .polarisers import AngleFit, AngleSums, PolariserBank, fit_views
-from .render import LEAST_ALPHA, Rendered, rasterise_view, render_view
+from .render_view import LEAST_ALPHA, Rendered, rasterise_view, render_view
 from .schedule import Phase, epoch_order, phase_at
-from .structure import dssim
-from .surface_losses import SurfaceWeights, surface_loss
+from .splats.albedo_light_scale import Exchange
+from .splats.densify import Activity, edges_to_split, keep, kept_rows, split_edges
+from .splats.gaussians import SplatModel, Splats
+from .splats.optimiser import Group, SurfaceAdam
+from .splats.splat_occlusion import (
+    LEAST_BLOCKED,
+    Occluder,
+    SplatOcclusion,
+    carried_hull,
+    trace_pixels,
+    trace_splats,
+    view_occlusion,
+)
+from .splats.surface_graph import SurfaceGraph, build_graph
+from .splats.surface_losses import SurfaceWeights, surface_loss
+from .views import losses
+from .views.data import Mode, View
+from .views.dssim import dssim
+from .views.polarisers import AngleFit, AngleSums, PolariserBank, fit_views
+from .views.training_frame import SceneFrame
 
 REFRESH = 100  # steps between rebuilding the surface graph
 CYCLE = 2 * REFRESH  # steps between densification, tracing and checkpoints: nothing traced has to be saved then
 RECESS_AT = (400, 600, 800)  # steps, multiples of CYCLE, before which hollows are looked for: the light must be about right
-LEAST_RECESS = 0.03  # share of the surface below which what is found counts as noise, and is not looked for again: a
+LEAST_CONCAVITY = 0.03  # share of the surface below which what is found counts as noise, and is not looked for again: a
 # teapot's reflections in itself fake up to 0.019, real webs were 0.075 and more
 OCCLUSION_FROM = 200  # steps before the first tracing: the light and the albedo must mean something
 RECESS_UNTIL = 0.6  # share of the run after which there is no time left to settle
@@ -91,7 +99,7 @@ class Trainer:
         self.occluder: Occluder | None = None
         self.surface_occlusion: SplatOcclusion | None = None
         self.blocked = 0.0
-        self.recessed: list[float] = []  # share of the surface that was found to lie deeper, by search
+        self.hollowed: list[float] = []  # share of the surface that was found to lie deeper, by search
 
     def tensors(self) -> dict[str, torch.Tensor]:
         """Every optimised tensor by its group's name."""
@@ -127,14 +135,14 @@ class Trainer:
         traces = self.parameters.occlusion and self.iteration >= OCCLUSION_FROM
         if traces:
             self.trace()
-        if self.looks_for_recesses() and self.recess() and traces:
+        if self.looks_for_concavities() and self.concavity() and traces:
             self.trace()
 
-    def looks_for_recesses(self) -> bool:
+    def looks_for_concavities(self) -> bool:
         """Whether a search is due: the data can tell, there is time to settle, and the last search was not in vain."""
         p = self.parameters
         due = self.iteration in RECESS_AT and self.iteration <= RECESS_UNTIL * p.iterations
-        return p.searches_recesses(self.mode) and due and (not self.recessed or self.recessed[-1] >= LEAST_RECESS)
+        return p.searches_concavities(self.mode) and due and (not self.hollowed or self.hollowed[-1] >= LEAST_CONCAVITY)
 
     def densify(self) -> bool:
         """Remove what does not show, then add where the images pull hardest, up to the bound; whether it is still time."""
@@ -153,16 +161,16 @@ class Trainer:
         return p.densify and done <= DENSIFY_UNTIL
 
     @torch.no_grad()
-    def recess(self) -> bool:
+    def concavity(self) -> bool:
         """Look for hollows that no silhouette shows, and move the surface into them; whether any splat made way.
 
         The splats elsewhere stay. What the object hides from itself must have been traced on the surface as it is.
         """
-        from .recess.explanation import shading_tables
-        from .recess.hollow import DepthField, hollowed
-        from .recess.images import view_images
-        from .recess.refit import refit
-        from .recess.search import surface_depths
+        from .concavity.explanation import shading_tables
+        from .concavity.hollow import DepthField, hollowed
+        from .concavity.refit import refit
+        from .concavity.samples import view_images
+        from .concavity.search import surface_depths
 
         model, p, graph = self.scene.model, self.parameters, self.scene.graph
         assert graph is not None
@@ -173,8 +181,8 @@ class Trainer:
         shading = shading_tables(splats, self.light(), p.fresnel)
         points, albedo = splats.means.detach().cpu().numpy(), splats.albedo.detach().cpu().numpy()
         found = surface_depths(surface, images, shading, points, albedo, p.seed)
-        self.recessed.append(found.share)
-        if found.share < LEAST_RECESS:
+        self.hollowed.append(found.share)
+        if found.share < LEAST_CONCAVITY:
             return False
         field = DepthField(found.points, found.depths)
         hollow = hollowed(surface if self.scene.closed is None else self._carried(self.scene.closed), field)
@@ -378,7 +386,7 @@ class Trainer:
             "activity": vars(self.activity),
             "hull": _as_tensors(self.scene.hull),
             "closed": None if self.scene.closed is None else _as_tensors(self.scene.closed),
-            "recessed": list(self.recessed),
+            "hollowed": list(self.hollowed),
         }
 
     def load(self, state: dict[str, Any]) -> None:
@@ -396,7 +404,7 @@ class Trainer:
         self.activity = Activity(**state["activity"])
         self.scene.hull = _as_mesh(state["hull"])
         self.scene.closed = None if state["closed"] is None else _as_mesh(state["closed"])
-        self.recessed = list(state["recessed"])
+        self.hollowed = list(state["hollowed"])
         self.iteration = state["iteration"]
         self.scene.graph = None
 

@@ -10,10 +10,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from pipeline.cameras import Camera
 from pipeline.capture import open_capture
-from pipeline.progress import Progress
-from pipeline.stage import StageRun
+from pipeline.engine.progress import Progress
+from pipeline.engine.stage import StageRun
+from pipeline.geometry.cameras import Camera
 
 
 @pytest.fixture

@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 
-from pipeline.cameras import Camera, opengl_from_camera
 from pipeline.errors import UserError
-from pipeline.images import read_exr, read_mask, read_stokes, write_exr, write_stokes
+from pipeline.formats.images import read_exr, read_mask, read_stokes, write_exr, write_stokes
+from pipeline.geometry.cameras import Camera, opengl_from_camera
 
 
 def capture_of(root, images, channels):

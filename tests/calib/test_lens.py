@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.cameras import Camera, distort, load_cameras, opengl_from_camera, undistort
-from pipeline.images import read_mask, read_stokes, write_mask, write_stokes
-from pipeline.lens import frames_folder
+from pipeline.formats.images import read_mask, read_stokes, write_mask, write_stokes
+from pipeline.geometry.cameras import Camera, distort, load_cameras, opengl_from_camera, undistort
+from pipeline.geometry.lens import frames_folder
 
 LENS = (-0.18, 0.04, 0.004, -0.003)
 PINHOLE = Camera(160, 120, 130.0, 128.0, 82.0, 58.5, np.eye(4))
@@ -70,7 +70,7 @@ def test_straight_lenses_leave_no_second_frames(run_stages, tmp_path):
 
 @pytest.mark.slow
 def test_training_sources_of_a_bent_lens_are_those_of_a_straight_one(run_stages, tmp_path):
-    from stages.train.data import load_sources
+    from stages.train.views.data import load_sources
 
     sources = []
     for name, camera in (("bent", BENT), ("straight", PINHOLE)):

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.cameras import load_cameras
 from pipeline.capture import open_capture
-from pipeline.capture.camera_source import decompose
-from pipeline.capture.colmap import pose_matrix, read_model
+from pipeline.capture.assembly.camera_source import decompose
 from pipeline.capture.config import PosesConfig
 from pipeline.errors import UserError
-from pipeline.images import write_png
+from pipeline.formats.colmap import pose_matrix, read_model
+from pipeline.formats.images import write_png
+from pipeline.geometry.cameras import load_cameras
 from stages.calib.poses.write import quaternion, write_sparse
 
 FEW = {"features": 800, "max_size": 480}  # keeps COLMAP short

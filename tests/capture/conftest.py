@@ -10,8 +10,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from pipeline.cameras import Camera, opengl_from_camera
-from pipeline.images import write_exr, write_mask, write_rgb, write_stokes
+from pipeline.formats.images import write_exr, write_mask, write_rgb, write_stokes
+from pipeline.geometry.cameras import Camera, opengl_from_camera
 
 HEIGHT, WIDTH = 24, 32
 

@@ -7,7 +7,7 @@ import pytest
 
 from pipeline.capture import open_capture
 from pipeline.errors import UserError
-from pipeline.images import write_exr, write_mask, write_png, write_stokes
+from pipeline.formats.images import write_exr, write_mask, write_png, write_stokes
 
 
 def edit(path, change):

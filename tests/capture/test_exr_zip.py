@@ -5,10 +5,10 @@ import OpenImageIO as oiio
 import pytest
 
 from pipeline.capture.config import RadiometryConfig
-from pipeline.capture.exr_zip import open_zip_exr
-from pipeline.capture.pixels import read_linear
+from pipeline.capture.pixels.linear import read_linear
 from pipeline.errors import UserError
-from pipeline.images import STOKES, read_image
+from pipeline.formats.exr_zip import open_zip_exr
+from pipeline.formats.images import STOKES, read_image
 
 
 def write(path, pixels, kind="half", compression="zip", names=STOKES, **header):

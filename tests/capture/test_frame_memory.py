@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from pipeline.capture import frame_memory
-from pipeline.capture.frame_memory import SMALL, frame_array
+from pipeline.capture.pixels import frame_memory
+from pipeline.capture.pixels.frame_memory import SMALL, frame_array
 
 SHAPE = (SMALL // 4, 4)
 

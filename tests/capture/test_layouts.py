@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pipeline.capture import open_capture
-from pipeline.images import read_mask, write_exr, write_mask
+from pipeline.formats.images import read_mask, write_exr, write_mask
 
 # RGBE shares one exponent: an error of 0.76 % of the pixel's largest channel, and s1 is a difference of two.
 STOKES_TOLERANCE = {"pandora": 0.02}

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from pipeline.capture.sample_kernels import widen_halves
+from pipeline.formats.sample_kernels import widen_halves
 
 
 def test_every_half_float_widens_exactly():

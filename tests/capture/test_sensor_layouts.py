@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import tifffile
 
-from pipeline.cameras import opengl_from_camera
 from pipeline.capture import open_capture
-from pipeline.capture.stack import polariser_design
-from pipeline.images import read_image, read_mask, write_exr, write_mask
+from pipeline.capture.angle_stack.solve import polariser_design
+from pipeline.formats.images import read_image, read_mask, write_exr, write_mask
+from pipeline.geometry.cameras import opengl_from_camera
 
 FULL = (3240, 6144)
 

@@ -5,11 +5,11 @@ import pytest
 import tifffile
 
 from pipeline.capture import open_capture
-from pipeline.capture.brackets import merge_exposures
-from pipeline.capture.mosaic import demosaic
-from pipeline.capture.stack import polariser_design, solve_stack
+from pipeline.capture.angle_stack.solve import polariser_design, solve_stack
+from pipeline.capture.mosaic.demosaic import demosaic
+from pipeline.capture.pixels.brackets import merge_exposures
 from pipeline.errors import UserError
-from pipeline.images import write_exr
+from pipeline.formats.images import write_exr
 
 ORDER = (90.0, 45.0, 135.0, 0.0)
 
@@ -59,7 +59,7 @@ def test_colours_polarised_differently_are_told_apart(bayer, order):
 
 
 def test_tiles_of_a_mosaic_join_without_seams(monkeypatch):
-    from pipeline.capture import mosaic
+    from pipeline.capture.mosaic import demosaic as mosaic
 
     samples = as_mosaic(textured(96), "bayer")
     whole = demosaic(samples, ORDER, "bayer")

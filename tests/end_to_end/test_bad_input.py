@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.images import read_stokes, write_mask, write_stokes
+from pipeline.formats.images import read_stokes, write_mask, write_stokes
 
 from .conftest import ROOT, Outcome, polarfield
 

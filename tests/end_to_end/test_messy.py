@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.cameras import Camera, opengl_from_camera
-from pipeline.images import read_mask, write_exr
+from pipeline.formats.images import read_mask, write_exr
+from pipeline.geometry.cameras import Camera, opengl_from_camera
 
 from .conftest import polarfield
 
@@ -52,7 +52,7 @@ def picture(camera: Camera, light: object) -> tuple[np.ndarray, np.ndarray]:
     """(Stokes [H, W, 3, 3], mask [H, W]) of the blobs of polarised plastic before their surroundings."""
     import torch
 
-    from pipeline.lighting import shade
+    from pipeline.shading import shade
 
     rays = camera.rays().reshape(-1, 3)
     depth, normal = np.full(len(rays), np.inf), np.zeros_like(rays)
@@ -82,7 +82,7 @@ def messy(tmp_path_factory) -> tuple[Path, dict[str, np.ndarray]]:
     """The capture folder and the true masks by VIEW."""
     import torch
 
-    from pipeline.lighting import Prefilter, cube_directions
+    from pipeline.shading import Prefilter, cube_directions
 
     root = tmp_path_factory.mktemp("messy") / "as taken, Sunday (ä)"
     light = Prefilter(32, "beckmann").apply(torch.as_tensor(surroundings(cube_directions(32)), dtype=torch.float32))

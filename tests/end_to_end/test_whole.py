@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.images import channel_names, read_exr
+from pipeline.formats.images import channel_names, read_exr
 
 from .conftest import QUICK, polarfield
 

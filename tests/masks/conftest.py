@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from pipeline.cameras import Camera
+from pipeline.geometry.cameras import Camera
 
 PARTS = [((0.0, 0.0, 0.0), 0.55), ((0.0, 0.6, 0.1), 0.3), ((0.5, -0.1, 0.0), 0.25), ((-0.2, -0.55, 0.3), 0.28)]
 

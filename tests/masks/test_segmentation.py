@@ -119,7 +119,7 @@ def test_sam_checkpoint_from_a_local_folder(views, tmp_path):
 def test_sam_is_prompted_by_the_sparse_model(views, tmp_path, monkeypatch, prompt):
     from types import SimpleNamespace
 
-    from pipeline.progress import Progress
+    from pipeline.engine.progress import Progress
     from stages.masks import sam
 
     rng = np.random.default_rng(0)

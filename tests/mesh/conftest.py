@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.cameras import Camera, camera_from_opengl
+from pipeline.geometry.cameras import Camera, camera_from_opengl
 from stages.mesh.gbuffer import DepthView
 from synth.orbit import fibonacci_sphere, look_at
 

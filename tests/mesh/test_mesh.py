@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.cameras import save_cameras
+from pipeline.engine.progress import Progress
+from pipeline.engine.stage import StageRun
 from pipeline.errors import UserError
-from pipeline.images import write_exr
-from pipeline.progress import Progress
-from pipeline.stage import StageRun
+from pipeline.formats.images import write_exr
+from pipeline.geometry.cameras import save_cameras
 from stages.mesh.attributes import bake, vertex_table
 from stages.mesh.clean import Mesh, boundary_loops, fill_holes, in_fixed_order, largest_pieces, without_slivers
 from stages.mesh.fusion import Volume, measure

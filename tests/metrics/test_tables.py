@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from pipeline.images import write_exr, write_png, write_rgb, write_stokes
+from pipeline.formats.images import write_exr, write_png, write_rgb, write_stokes
 from stages.metrics.olat_figures import olat_table
 from stages.metrics.train_figures import train_table
 from stages.metrics.truth import Truth

@@ -5,10 +5,10 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from stages.olat.bands import Band
-from stages.olat.columns import WIDTH, columns
-from stages.olat.footprint import spreads, surface_widths, with_neighbours
-from stages.olat.tangents import borne_out
+from stages.olat.maps.footprint import spreads, surface_widths, with_neighbours
+from stages.olat.maps.tangents import borne_out
+from stages.olat.pixel_fit.result_layout import WIDTH, columns
+from stages.olat.reading.scanline_bands import Band
 
 AT = columns()
 

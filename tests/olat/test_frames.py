@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from pipeline.errors import UserError
-from pipeline.images import write_exr
-from stages.olat.bands import Band, bands_of
-from stages.olat.drift import Drift, measure
-from stages.olat.frames import Samples, ahead, read_bands, read_rows
+from pipeline.formats.images import write_exr
+from stages.olat.reading.frame_reader import Samples, ahead, read_bands, read_rows
+from stages.olat.reading.misregistration import Drift, measure
+from stages.olat.reading.scanline_bands import Band, bands_of
 from stages.olat.stage import OlatParameters, every
 
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from benchmarks.olat_pixels import angle_deg, make
-from stages.olat.columns import BAD_SAMPLES, BLACK, FLAG, GOOD, NO_LOBE, SATURATED, TOO_FEW, columns
-from stages.olat.fit import fit
+from stages.olat.pixel_fit.many_pixels import fit
+from stages.olat.pixel_fit.result_layout import BAD_SAMPLES, BLACK, FLAG, GOOD, NO_LOBE, SATURATED, TOO_FEW, columns
 from tests.olat.test_recovery import AT, DEFAULT, run
 
 pytestmark = pytest.mark.slow  # the kernels' first compilation takes most of a minute

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from benchmarks.olat_pixels import Pixels, angle_deg, beckmann, make, rig_of, unit
-from stages.olat.columns import FLAG, columns
-from stages.olat.fit import fit
+from stages.olat.pixel_fit.fit_options import Settings
+from stages.olat.pixel_fit.many_pixels import fit
+from stages.olat.pixel_fit.result_layout import FLAG, columns
 from stages.olat.run import GAIN, MIXED, PRIOR
-from stages.olat.settings import Settings
 
 pytestmark = pytest.mark.slow  # the kernels' first compilation takes most of a minute
 

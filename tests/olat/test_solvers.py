@@ -5,11 +5,11 @@ import pytest
 
 from benchmarks.olat_pixels import angle_deg, make
 from benchmarks.olat_zoo import linear_gradient, problems
-from stages.olat import zoo
-from stages.olat.columns import columns
-from stages.olat.fit import fit
-from stages.olat.lobe_fit import linear_albedo
-from stages.olat.paper_chain import solve_band
+from stages.olat.pixel_fit.lobe_fit import linear_albedo
+from stages.olat.pixel_fit.many_pixels import fit
+from stages.olat.pixel_fit.result_layout import columns
+from stages.olat.zoo import solvers as zoo
+from stages.olat.zoo.paper_chain import solve_band
 from tests.olat.test_recovery import DEFAULT
 
 pytestmark = pytest.mark.slow  # jax and the kernels compile for some seconds

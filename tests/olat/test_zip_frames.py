@@ -5,10 +5,10 @@ import OpenImageIO as oiio
 import pytest
 
 from pipeline.errors import UserError
-from pipeline.images import write_exr
-from stages.olat import zip_frames
-from stages.olat.bands import bands_of
-from stages.olat.frames import read_bands, read_rows
+from pipeline.formats.images import write_exr
+from stages.olat.reading import zip_frames
+from stages.olat.reading.frame_reader import read_bands, read_rows
+from stages.olat.reading.scanline_bands import bands_of
 
 HEIGHT, WIDTH = 50, 13
 
@@ -60,7 +60,7 @@ def test_other_channels_and_grey_frames_are_read_by_name(tmp_path):
 
 
 def test_zip_frames_do_not_go_through_openimageio(tmp_path, monkeypatch):
-    monkeypatch.setattr("stages.olat.frames.read_rows", lambda *a: pytest.fail("read the slow way"))
+    monkeypatch.setattr("stages.olat.reading.frame_reader.read_rows", lambda *a: pytest.fail("read the slow way"))
     write_exr(tmp_path / "a.exr", {c: image()[..., k] for k, c in enumerate("RGB")}, half=True)
     read(tmp_path / "a.exr")
 

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 import torch
 
-from stages.train.rasterize import cpu, rasterize, threads
+from pipeline.kernels import threads
+from stages.train.rasterize import cpu, rasterize
 
 IMAGES = ("features", "alpha", "normal", "depth_expected", "depth_median", "distortion")
 

@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.cameras import Camera, camera_from_opengl, save_cameras
 from pipeline.capture import Capture
+from pipeline.engine.progress import Progress
+from pipeline.engine.stage import StageRun
 from pipeline.errors import UserError
-from pipeline.images import read_image, read_stokes, write_exr, write_mask, write_rgb
-from pipeline.lights.environment import Y_UP_FROM
-from pipeline.progress import Progress
-from pipeline.stage import StageRun
+from pipeline.formats.images import read_image, read_stokes, write_exr, write_mask, write_rgb
+from pipeline.geometry.cameras import Camera, camera_from_opengl, save_cameras
+from pipeline.rig.latlong_lights import Y_UP_FROM
 from stages.relight.maps import read_map
 from stages.relight.stage import RelightParameters, needed
 from stages.relight.stage import run as run_stage

@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.lighting.kernels import REFERENCE_IOR
-from pipeline.lighting.occluder import tangent_frames
+from pipeline.geometry.occluder import tangent_frames
 from pipeline.optics import fresnel
 from pipeline.optics.sphere import hemisphere_rule
+from pipeline.shading.prefilter_kernels import REFERENCE_IOR
 from stages.mesh.attributes import vertex_table
 from stages.mesh.clean import Mesh
 from stages.mesh.ply import write_ply
 from stages.relight.deferred import Lamp, ShadingModel, Surface
-from stages.relight.occlusion import SelfOcclusion
+from stages.relight.mesh_shadows import SelfOcclusion
 from synth.shape import vase
 
 START = 1e-4  # of a shape of size 2: off the surface, far below its features

@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 
-from pipeline.cameras import Camera, camera_from_opengl
+from pipeline.geometry.cameras import Camera, camera_from_opengl
 from pipeline.report import pictures
 from pipeline.report.curves import line_chart, nice_ticks
 from pipeline.report.figures import headlines, tables, text_of

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pipeline.capture import open_capture
-from pipeline.images import read_image, read_stokes
+from pipeline.formats.images import read_image, read_stokes
 from synth.environments import ENVIRONMENTS, directions
 from synth.shape import vase
 
@@ -17,7 +17,8 @@ RGB = ("R", "G", "B")
 def captures(tmp_path_factory):
     """A very small pair of captures: 2 views of 32x32, 6 lights."""
     pytest.importorskip("mitsuba")
-    from synth import lightstage, views
+    from synth import stage_capture as lightstage
+    from synth import view_capture as views
 
     root = tmp_path_factory.mktemp("synth")
     views.make(root / "views", size=32, views=2, spp=16, seed=3)
@@ -66,7 +67,7 @@ def test_captures_are_recognised(captures):
 
 
 def test_same_seed_gives_the_same_bytes(captures, tmp_path):
-    from synth import views
+    from synth import view_capture as views
 
     views.make(tmp_path / "views", size=32, views=2, spp=16, seed=3)
     for name in ("images/000.exr", "masks/001.png", "gt/normal/001.exr", "gt/relight/studio/000.exr"):

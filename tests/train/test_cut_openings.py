@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.cameras import Camera
+from pipeline.geometry.cameras import Camera
 from stages.train.initialise.hull import HullMesh, smoothed
 from stages.train.initialise.openings import DEPTH, OpeningView, cut_openings
 

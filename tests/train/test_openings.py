@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 import torch
 
-from pipeline.cameras import Camera
-from pipeline.lighting import Prefilter
+from pipeline.geometry.cameras import Camera
+from pipeline.shading import Prefilter
 from stages.train import export
-from stages.train.data import SourceView, has_openings, opening_pixels, prepare
 from stages.train.parameters import TrainParameters
-from stages.train.render import mean_normals
+from stages.train.render_view import mean_normals
 from stages.train.setup import prepare_training
 from stages.train.trainer import Trainer
+from stages.train.views.data import SourceView, has_openings, opening_pixels, prepare
 
 from .conftest import look_at, plastic_image, sky
 
@@ -89,7 +89,7 @@ def test_a_bowl_stays_open_and_shows_the_normals_of_its_inside():
         sources.append(SourceView(name, split, camera, stokes.astype(np.float32), full, np.ones(full.shape, bool)))
         truths[name] = bowl_view(camera, light)[2]
     parameters = TrainParameters(
-        iterations=900, max_splats=2000, hull_resolution=48, environment_resolution=16, occlusion=False, recesses="off"
+        iterations=900, max_splats=2000, hull_resolution=48, environment_resolution=16, occlusion=False, concavities="off"
     )
     start = prepare_training(sources, "stokes", {}, "y", parameters, "cpu")
     assert any(view.openings > 0.05 for view in start.pyramids[0])

@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.cameras import Camera
 from pipeline.errors import UserError
+from pipeline.geometry.cameras import Camera
 from stages.calib.poses.write import write_points
 from stages.train.initialise.hull import Silhouette
-from stages.train.initialise.outline import MARGIN, outline
 from stages.train.initialise.points import PointSurface, orient, read_points
+from stages.train.initialise.silhouettes import MARGIN, outline
 from stages.train.initialise.start import start_surface
 from stages.train.parameters import TrainParameters
 from stages.train.setup import prepare_training

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from pipeline.capture.model import PolariserPrior
-from stages.train.polarisers import BENT, AngleSums, PolariserBank, fit_angle, fit_views
+from stages.train.views.polarisers import BENT, AngleSums, PolariserBank, fit_angle, fit_views
 
 
 def stokes_field(count: int = 4000) -> torch.Tensor:

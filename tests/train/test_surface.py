@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 import torch
 
-from stages.train.graph import build_graph, slope_residual
-from stages.train.model import normal_quaternions, unit
-from stages.train.surface_losses import SurfaceWeights, surface_loss, surface_terms
+from stages.train.splats.gaussians import normal_quaternions, unit
+from stages.train.splats.surface_graph import build_graph, slope_residual
+from stages.train.splats.surface_losses import SurfaceWeights, surface_loss, surface_terms
 
 
 @pytest.fixture

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from pipeline.capture.assemble import assemble
+from pipeline.capture.assembly.assemble import assemble
+from pipeline.capture.assembly.sources import discover
 from pipeline.capture.config import CaptureConfig, load_config
-from pipeline.capture.files import image_folder, list_images
-from pipeline.capture.grouping import group_files
 from pipeline.capture.layouts import Layout
 from pipeline.capture.layouts.photographs import pictures
 from pipeline.capture.layouts.photographs import recognise as has_pictures
 from pipeline.capture.model import Capture
-from pipeline.capture.sources import discover
+from pipeline.capture.naming.files import image_folder, list_images
+from pipeline.capture.naming.grouping import group_files
 from pipeline.errors import UserError
 
 

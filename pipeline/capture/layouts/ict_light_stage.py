@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.cameras import OPENGL_FROM_OPENCV, Camera
 from pipeline.capture.config import CaptureConfig
 from pipeline.capture.layouts import Layout
 from pipeline.capture.model import Capture, LightStage, LightStageCamera, LightTable
 from pipeline.errors import UserError
+from pipeline.geometry.cameras import OPENGL_FROM_OPENCV, Camera
 
 LEADING_FRAMES = 2  # a pass begins with two frames under all lights (tracking), then one frame a light
 IMAGES = (".exr", ".hdr", ".png", ".tif", ".tiff")
@@ -28,7 +28,7 @@ def recognise(root: Path) -> bool:
 
 def read(root: Path, config: CaptureConfig) -> Capture:
     """Open a light-stage capture. Raises UserError naming the file at fault. Pixels are not read."""
-    from pipeline.lights.tables import LSX3_POSITIONS, LSX3_SPIRAL, read_lights_csv, read_lsx3
+    from pipeline.rig.tables import LSX3_POSITIONS, LSX3_SPIRAL, read_lights_csv, read_lsx3
 
     lsx3 = [root / LSX3_POSITIONS, root / LSX3_SPIRAL]
     table_path = root / (config.olat.lights or "lights.csv")
@@ -71,7 +71,7 @@ def _camera_folders(root: Path) -> list[Path]:
 
 
 def _camera(root: Path, folder: Path, lights: LightTable, table: Path, config: CaptureConfig) -> LightStageCamera:
-    from pipeline.images import image_size
+    from pipeline.formats.images import image_size
 
     passes = {}
     for name in PASSES:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from pipeline.capture.assemble import assemble
+from pipeline.capture.assembly.assemble import assemble
+from pipeline.capture.assembly.sources import discover
 from pipeline.capture.config import CaptureConfig, load_config
 from pipeline.capture.layouts import Layout
 from pipeline.capture.layouts.photographs import pictures
 from pipeline.capture.layouts.photographs import recognise as has_pictures
 from pipeline.capture.model import Capture
-from pipeline.capture.mosaic_signs import is_mosaic
-from pipeline.capture.sources import discover
+from pipeline.capture.mosaic.sensor_files import is_mosaic
 from pipeline.errors import UserError
 
 

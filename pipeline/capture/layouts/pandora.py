@@ -8,17 +8,17 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.capture.assemble import assemble
-from pipeline.capture.camera_source import from_idr
+from pipeline.capture.assembly.assemble import assemble
+from pipeline.capture.assembly.camera_source import from_idr
 from pipeline.capture.config import CaptureConfig
-from pipeline.capture.files import FLOAT_SUFFIXES
-from pipeline.capture.frame import apply_stokes_config
 from pipeline.capture.layouts import Layout
 from pipeline.capture.model import Capture, DecodedView, ViewSource
-from pipeline.capture.pixels import read_linear
-from pipeline.capture.stokes_files import finished
+from pipeline.capture.naming.files import FLOAT_SUFFIXES
+from pipeline.capture.pixels.linear import read_linear
+from pipeline.capture.pixels.stokes_files import finished
+from pipeline.capture.pixels.stokes_frame import apply_stokes_config
 from pipeline.errors import UserError
-from pipeline.images import image_size
+from pipeline.formats.images import image_size
 
 FOLDER, CAMERAS = "images_stokes", "cameras.npz"
 PARTS = ("s0", "s0p1", "s0p2")

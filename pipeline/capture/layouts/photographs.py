@@ -5,12 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
-from pipeline.capture.assemble import assemble, folder_camera, outside_images
+from pipeline.capture.assembly.assemble import assemble, folder_camera, outside_images
+from pipeline.capture.assembly.sources import discover
 from pipeline.capture.config import CaptureConfig
-from pipeline.capture.files import IMAGE_SUFFIXES, UNREADABLE, has_images, image_folder, list_images
 from pipeline.capture.layouts import Layout
 from pipeline.capture.model import Capture
-from pipeline.capture.sources import discover
+from pipeline.capture.naming.files import IMAGE_SUFFIXES, UNREADABLE, has_images, image_folder, list_images
 from pipeline.errors import UserError
 
 

@@ -7,14 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.cameras import Camera
 from pipeline.capture.config import CaptureConfig
-from pipeline.capture.files import check_masks, count, find_environments, find_masks, list_images, some, sorted_views
 from pipeline.capture.layouts import Layout
 from pipeline.capture.model import Capture, ViewSource
-from pipeline.capture.stokes_files import stokes_exr_loader
+from pipeline.capture.naming.files import check_masks, count, find_environments, find_masks, list_images, some, sorted_views
+from pipeline.capture.pixels.stokes_files import stokes_exr_loader
 from pipeline.errors import UserError
-from pipeline.images import image_size
+from pipeline.formats.images import image_size
+from pipeline.geometry.cameras import Camera
 
 FOLDER, PARAMETERS = "images_full", "camera_params.npz"
 

@@ -8,14 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.capture.assemble import assemble
-from pipeline.capture.camera_source import from_idr
+from pipeline.capture.assembly.assemble import assemble
+from pipeline.capture.assembly.camera_source import from_idr
 from pipeline.capture.config import CaptureConfig
-from pipeline.capture.frame import apply_stokes_config
 from pipeline.capture.layouts import Layout
 from pipeline.capture.layouts.array_files import array_size, load_array
 from pipeline.capture.model import Capture, DecodedView, ViewSource
-from pipeline.capture.stokes_files import finished
+from pipeline.capture.pixels.stokes_files import finished
+from pipeline.capture.pixels.stokes_frame import apply_stokes_config
 from pipeline.errors import UserError
 
 FOLDER, CAMERAS = "images_stokes", "cameras.npz"

@@ -8,10 +8,12 @@ from pathlib import Path
 from typing import Any, Literal
 
 from pipeline.bare_arrays import ARRAY_SUFFIXES
-from pipeline.cameras import Camera, camera_from_frame
-from pipeline.capture.assemble import find_plates
+from pipeline.capture.assembly.assemble import find_plates
+from pipeline.capture.assembly.sources import discover
 from pipeline.capture.config import CaptureConfig
-from pipeline.capture.files import (
+from pipeline.capture.layouts import Layout
+from pipeline.capture.model import Capture, ViewSource
+from pipeline.capture.naming.files import (
     IMAGE_SUFFIXES,
     UNREADABLE,
     check_masks,
@@ -23,12 +25,10 @@ from pipeline.capture.files import (
     some,
     sorted_views,
 )
-from pipeline.capture.grouping import Group
-from pipeline.capture.layouts import Layout
-from pipeline.capture.model import Capture, ViewSource
-from pipeline.capture.sources import discover
+from pipeline.capture.naming.grouping import Group
 from pipeline.errors import UserError
-from pipeline.images import channel_names, image_size
+from pipeline.formats.images import channel_names, image_size
+from pipeline.geometry.cameras import Camera, camera_from_frame
 
 FILE = "transforms.json"
 DEFAULT_CAMERA = "camera"

@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from pipeline.cameras import Camera
-from pipeline.capture.camera_source import from_colmap
-from pipeline.capture.colmap import find_model
+from pipeline.capture.assembly.camera_source import from_colmap
+from pipeline.capture.assembly.sources import discover
 from pipeline.capture.config import CaptureConfig
-from pipeline.capture.files import (
+from pipeline.capture.layouts import Layout
+from pipeline.capture.model import Capture, ViewSource
+from pipeline.capture.naming.files import (
     check_masks,
     find_environments,
     find_masks,
@@ -18,10 +19,9 @@ from pipeline.capture.files import (
     polariser_priors,
     sorted_views,
 )
-from pipeline.capture.layouts import Layout
-from pipeline.capture.model import Capture, ViewSource
-from pipeline.capture.sources import discover
 from pipeline.errors import UserError
+from pipeline.formats.colmap import find_model
+from pipeline.geometry.cameras import Camera
 
 
 def recognise(root: Path) -> bool:

@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.cameras import opengl_from_camera
 from pipeline.capture import LightStage, LightStageCamera
-from pipeline.capture.files import some
+from pipeline.capture.naming.files import some
+from pipeline.engine.stage import StageRun
 from pipeline.errors import UserError
-from pipeline.images import read_image
-from pipeline.stage import StageRun
+from pipeline.formats.images import read_image
+from pipeline.geometry.cameras import opengl_from_camera
 from stages.calib.decode.plateau import PlateauSearch
 
 BATCH = 8

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from pipeline.capture import Capture
-from pipeline.stage import Decision, Stage, StageRun
+from pipeline.engine.stage import Decision, Stage, StageRun
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ def run(stage: StageRun) -> None:
 
         index_light_stage(stage)
     else:
-        from stages.calib.decode.frames import decode_views
+        from stages.calib.decode.write_frames import decode_views
 
         decode_views(stage)
 

@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.cameras import Camera
-from pipeline.capture.colmap import read_model
-from pipeline.capture.exif import focal_from_exif
-from pipeline.capture.files import count, some
+from pipeline.capture.naming.exif import focal_from_exif
+from pipeline.capture.naming.files import count, some
+from pipeline.engine.stage import StageRun
 from pipeline.errors import UserError
-from pipeline.stage import StageRun
+from pipeline.formats.colmap import read_model
+from pipeline.geometry.cameras import Camera
 from stages.calib.poses.proxies import Proxy, write_masks, write_proxies
 from stages.calib.poses.scale import world_scale
 from stages.calib.poses.straighten import write_cameras

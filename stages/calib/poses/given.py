@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from pipeline.capture.colmap import ColmapModel, read_model
-from pipeline.stage import StageRun
+from pipeline.engine.stage import StageRun
+from pipeline.formats.colmap import ColmapModel, read_model
 from stages.calib.poses.straighten import write_cameras
 from stages.calib.poses.write import write_points, write_sparse
 

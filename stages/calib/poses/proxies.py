@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.images import read_image, srgb_encode, write_fault, write_mask
-from pipeline.stage import StageRun
+from pipeline.engine.stage import StageRun
+from pipeline.formats.images import read_image, srgb_encode, write_fault, write_mask
 
 
 @dataclass(frozen=True)

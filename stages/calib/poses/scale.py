@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.cameras import Camera, undistort
 from pipeline.capture.config import PosesConfig
 from pipeline.errors import UserError
+from pipeline.geometry.cameras import Camera, undistort
 
 MARKER_VIEWS = 2
 WORST_MARKER = 0.1

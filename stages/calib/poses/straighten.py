@@ -12,14 +12,14 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.cameras import Camera, save_cameras
-from pipeline.images import read_image, read_mask, read_stored, write_exr, write_mask, write_png
-from pipeline.lens import FRAMES, LENSES, Straightener, bends, pinhole
-from pipeline.stage import StageRun
+from pipeline.engine.stage import StageRun
+from pipeline.formats.images import read_image, read_mask, read_stored, write_exr, write_mask, write_png
+from pipeline.geometry.cameras import Camera, save_cameras
+from pipeline.geometry.lens import FRAMES, LENSES, Straightener, bends, pinhole
 
 
 def write_cameras(stage: StageRun, cameras: Mapping[str, Camera]) -> None:
-    """Write cameras.json; where a lens bends, also frames/, frames.json and lenses.json (see pipeline.lens)."""
+    """Write cameras.json; where a lens bends, also frames/, frames.json and lenses.json (see pipeline.geometry.lens)."""
     bent = {view: camera for view, camera in sorted(cameras.items()) if bends(camera)}
     save_cameras(stage.output / "cameras.json", {view: pinhole(camera) for view, camera in cameras.items()})
     if not bent:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.cameras import Camera
+from pipeline.geometry.cameras import Camera
 
 
 def quaternion(rotation: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage, sparse
 
-from pipeline.cameras import Camera
 from pipeline.errors import UserError
+from pipeline.geometry.cameras import Camera
 
 from .points import PointSurface
 

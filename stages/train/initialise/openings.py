@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from pipeline.cameras import Camera
+from pipeline.geometry.cameras import Camera
 
 from .hull import HullMesh, signed_distance, smoothed
 

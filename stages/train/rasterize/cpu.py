@@ -12,6 +12,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from pipeline.kernels.simd import LANES, TILE
+from pipeline.kernels.threads import row_buffers, run_on_all_cores
+
 from . import constants as k
 from .kernel_backward import backward_room, slot_width, tiles_backward
 from .kernel_bin import bin_splats, depth_order
@@ -19,8 +22,6 @@ from .kernel_block import BLOCKS, CHANNELS, GROUP, LAYERS, RECORD_ROWS
 from .kernel_forward import blend_tiles, forward_room, largest_weights
 from .kernel_project import GEO, project, project_backward
 from .raster import Raster
-from .simd import LANES, TILE
-from .threads import row_buffers, run_on_all_cores
 
 
 def rasterize_cpu(

@@ -10,7 +10,23 @@ from __future__ import annotations
 
 import numpy as np
 
-from .compiling import kernel
+from pipeline.kernels.compiling import kernel
+from pipeline.kernels.simd import (
+    BLOCK,
+    LANES,
+    TILE,
+    absolute,
+    any_lane,
+    largest,
+    load,
+    select,
+    spread,
+    store,
+    store_totals,
+    take_ticket,
+    value,
+)
+
 from .kernel_block import (
     AHEAD,
     ALPHA_MAX,
@@ -44,7 +60,6 @@ from .kernel_block import (
     prefetch_splat,
 )
 from .kernel_project import G_GEO, OPACITY, QX, QY, UX, UY, VX, VY, Z
-from .simd import BLOCK, LANES, TILE, absolute, any_lane, largest, load, select, spread, store, store_totals, take_ticket, value
 
 _f = np.float32
 

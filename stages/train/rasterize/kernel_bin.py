@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from .compiling import allocating_kernel
+from pipeline.kernels.compiling import allocating_kernel
+
 from .kernel_project import CULLED, STATE, Z
 
 DIGIT = 11  # bits a radix pass sorts by: three passes cover 32 bits, and the histogram stays in the L1 cache

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from . import constants as k
-from .compiling import kernel
-from .kernel_project import BOTTOM, CX, CY, FLAT, GEO, LEFT, OPACITY, Q_MAX, QX, QY, RIGHT, STATE, TOP, UX, UY, VX, VY, Z
-from .simd import (
+from pipeline.kernels.compiling import kernel
+from pipeline.kernels.simd import (
     BLOCK,
     LANES,
     TILE,
@@ -23,6 +21,9 @@ from .simd import (
     spread,
     store,
 )
+
+from . import constants as k
+from .kernel_project import BOTTOM, CX, CY, FLAT, GEO, LEFT, OPACITY, Q_MAX, QX, QY, RIGHT, STATE, TOP, UX, UY, VX, VY, Z
 
 BLOCKS = TILE // BLOCK  # a side
 LAYERS = k.MAX_LAYERS - 1  # that can end: what comes after is one

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from .compiling import kernel
+from pipeline.kernels.compiling import kernel
+from pipeline.kernels.simd import BLOCK, LANES, TILE, any_lane, largest, load, maximum, spread, store, take_ticket, value
+
 from .kernel_block import (
     AHEAD,
     BLOCKS,
@@ -24,7 +26,6 @@ from .kernel_block import (
     start_tile,
 )
 from .kernel_project import Z
-from .simd import BLOCK, LANES, TILE, any_lane, largest, load, maximum, spread, store, take_ticket, value
 
 _f = np.float32
 

@@ -6,9 +6,10 @@ import math
 
 import numpy as np
 
+from pipeline.kernels.compiling import kernel
+from pipeline.kernels.simd import LANES, TILE, load, spread, store, take_ticket
+
 from . import constants as k
-from .compiling import kernel
-from .simd import LANES, TILE, load, spread, store, take_ticket
 
 # columns of the projected record: derivatives of u, v, q by pixel, centre, camera z, opacity, z / near, box, state
 UX, UY, VX, VY, QX, QY, CX, CY, Z, OPACITY, Q_MAX, LEFT, RIGHT, TOP, BOTTOM, STATE = range(16)

@@ -1,0 +1,1 @@
+"""Angle stacks: one picture per polariser angle, to Stokes images."""

@@ -1,0 +1,108 @@
+"""From views to a Capture: cameras, masks, polarisers and environments that lie beside them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Literal
+
+from pipeline.capture.assembly.camera_source import from_colmap
+from pipeline.capture.assembly.sources import Sources
+from pipeline.capture.config import CaptureConfig
+from pipeline.capture.model import Capture, ViewSource
+from pipeline.capture.naming.files import (
+    IMAGE_FOLDERS,
+    PHOTO_SUFFIXES,
+    check_masks,
+    find_environments,
+    find_masks,
+    list_images,
+    polariser_priors,
+    sorted_views,
+)
+from pipeline.formats.images import channel_names
+from pipeline.geometry.cameras import Camera
+
+PLATES = ("clean_plate", "clean_plates", "background", "backgrounds")
+
+
+def assemble(
+    root: Path,
+    layout: str,
+    config: CaptureConfig,
+    folder: Path,
+    views: tuple[ViewSource, ...],
+    polarisation: Literal["stokes", "polarisers", "none"],
+    cameras: Mapping[str, Camera] | None = None,
+    camera_files: tuple[Path, ...] = (),
+    facts: tuple[str, ...] = (),
+    warned: tuple[str, ...] = (),
+) -> Capture:
+    """The Capture of `views` (`warned`: what was found while reading them); without given cameras a COLMAP model beside the images is used. Raises UserError."""
+    warnings = list(warned)
+    colmap = None
+    if cameras is None:
+        found, colmap, model, camera_files = from_colmap(root, views, folder)
+        warnings += model
+        cameras = found or None
+    if cameras is not None:
+        views = tuple(v for v in views if v.view in cameras)
+    views = sorted_views(views)
+    sizes = {v.view: v.size for v in views}
+    masks, more = find_masks(root, {v.view: v.paths[0] for v in views}, folder)
+    check_masks(masks, lambda view: sizes[view] or (0, 0))
+    plates, plate_files = find_plates(root, config, views)
+    environments = find_environments(root)
+    alpha = not masks and bool(views) and all(_has_alpha(v) for v in views)
+    return Capture(
+        root, layout, "multiview", polarisation, views, environments=environments, config=config, up=config.up or "y",
+        cameras=dict(cameras) if cameras is not None else None, masks=masks or ("alpha" if alpha else None), colmap=colmap,
+        files=(*camera_files, *(p for v in views for p in v.paths), *masks.values(), *plate_files, *environments),
+        polarisers=polariser_priors([v.camera for v in views], config, root) if polarisation == "polarisers" else {},
+        warnings=tuple(warnings + more), facts=facts, clean_plates=plates,
+    )  # fmt: skip
+
+
+def _has_alpha(view: ViewSource) -> bool:
+    path = view.paths[0]
+    return not view.paged and path.suffix.lower() in (".png", ".tif", ".tiff", ".exr") and "A" in channel_names(path)
+
+
+def find_plates(root: Path, config: CaptureConfig, views: tuple[ViewSource, ...]) -> tuple[dict[str, Path], tuple[Path, ...]]:
+    """Photographs of the empty scene, by VIEW: one of the view's name, its camera's name, or one for all."""
+    place = root / config.clean_plate if config.clean_plate else next((root / n for n in PLATES if (root / n).is_dir()), None)
+    if place is None:
+        singles = [
+            p for n in PLATES for p in sorted(root.glob(f"{n}.*")) if p.suffix.lower() in PHOTO_SUFFIXES | {".exr", ".hdr"}
+        ]
+        place = singles[0] if singles else None
+    if place is None:
+        return {}, ()
+    files = list_images(place) if place.is_dir() else [place]
+    by_stem = {p.stem: p for p in files}
+    plates = {}
+    for view in views:
+        plate = by_stem.get(view.view) or by_stem.get(view.camera) or (files[0] if len(files) == 1 else None)
+        if plate is not None:
+            plates[view.view] = plate
+    return plates, tuple(sorted(set(plates.values())))
+
+
+def with_camera_names(sources: Sources, names: Mapping[str, str]) -> tuple[ViewSource, ...]:
+    """Views with the physical camera that `names` gives them."""
+    return tuple(replace(v, camera=names.get(v.view, v.camera)) for v in sources.views)
+
+
+def folder_camera(paths: tuple[Path, ...], folder: Path, config: CaptureConfig) -> str:
+    """The physical camera that a folder names: one of capture.toml's, else "camera"."""
+    parts = paths[0].relative_to(folder).parts[:-1]
+    named = [p for p in parts if p in config.polarisers]
+    return named[0] if named else "camera"
+
+
+def outside_images(path: Path) -> bool:
+    """Whether a folder's name says that it holds no pictures of views."""
+    return (
+        path.name.lower() in {"masks", "mask", "gt", "envmaps", "sparse", "colmap", *PLATES} and path.name not in IMAGE_FOLDERS
+    )

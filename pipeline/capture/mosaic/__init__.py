@@ -1,0 +1,1 @@
+"""Polarisation-sensor mosaics to Stokes images."""

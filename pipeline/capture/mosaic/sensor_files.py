@@ -1,0 +1,140 @@
+"""Bare sensor files: reading them, and telling a polariser mosaic from a grey picture, quad-Bayer from monochrome."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.capture.config import CaptureConfig, MosaicConfig
+from pipeline.capture.naming.files import FLOAT_SUFFIXES, RAW_SUFFIXES
+from pipeline.capture.naming.grouping import Group, group_files
+from pipeline.capture.pixels.brackets import read_exposures
+from pipeline.capture.pixels.linear import LinearImage
+from pipeline.capture.radiometry import factor_of
+from pipeline.errors import UserError
+from pipeline.formats.images import _open, channel_names
+
+
+def read_mosaic(group: Group, config: CaptureConfig) -> LinearImage:
+    """The bare mosaic [H, W, 1] of one view, brackets merged."""
+    path = group.paths[0]
+    if path.suffix.lower() in RAW_SUFFIXES:
+        from pipeline.capture.pixels.raw import read_raw_mosaic
+
+        samples, saturated = read_raw_mosaic(path, config.radiometry)
+        samples *= np.float32(factor_of(config.radiometry, path))
+        return LinearImage(samples[..., None], ("Y",), saturated, 16)
+    return read_exposures(group.angles[None], config.radiometry, sensor_data=True, view=group.view)
+
+
+def is_mosaic(paths: Sequence[Path], config: CaptureConfig) -> bool:
+    """Whether single-channel sensor files are 2x2 polariser mosaics rather than grey pictures (a few are looked at).
+
+    A `[mosaic]` table in capture.toml says so of any kind of file that may hold one.
+    """
+    some = _a_few(paths)
+    if config.mosaic != MosaicConfig():
+        return all(p.suffix.lower() in RAW_SUFFIXES or single_plane(p) for p in some)
+    if any(p.suffix.lower() in FLOAT_SUFFIXES | RAW_SUFFIXES or not single_plane(p) for p in some):
+        return False
+    return float(np.mean([carrier_share(_bare(p, config), period=4) for p in some])) > CARRIER_SHARE
+
+
+def refuse_colour(paths: Sequence[Path], config: CaptureConfig) -> None:
+    """Raise UserError naming a file of several different channels where capture.toml says that files are mosaics."""
+    for path in paths:
+        if path.suffix.lower() not in RAW_SUFFIXES and not single_plane(path):
+            told = "[mosaic] in capture.toml" if config.mosaic != MosaicConfig() else 'layout = "mosaic"'
+            raise UserError(
+                path,
+                f"has channels {', '.join(channel_names(path))} that differ, but {told} says that it is a mosaic",
+                "save the sensor's bare samples as one channel, or take that out of capture.toml",
+            )
+
+
+def single_plane(path: Path) -> bool:
+    """Whether an image file holds one plane: a single channel (beside alpha), or colours that are equal everywhere."""
+    names = [name for name in channel_names(path) if name.lower() != "a"]
+    if len(names) != 3:
+        return len(names) == 1
+    image = _open(path, unassociated=True)
+    spec = image.spec()
+    try:
+        for rows in (min(SKIMMED, spec.height), spec.height):  # a colour picture's first rows tell already
+            band = image.read_scanlines(0, 0, spec.y, spec.y + rows, 0, 0, spec.nchannels, "float")
+            if band is None and (band := image.read_image("float")) is None:
+                raise UserError(path, "the image is truncated or corrupt", "copy it again from its source")
+            pixels = np.asarray(band).reshape(-1, spec.nchannels)
+            if not ((pixels[:, 0] == pixels[:, 1]) & (pixels[:, 1] == pixels[:, 2])).all():
+                return False
+    finally:
+        image.close()
+    return True
+
+
+SKIMMED = 32
+
+
+def mosaic_colour(paths: Sequence[Path], config: CaptureConfig) -> str:
+    """ "bayer" where the 2x2 blocks of mosaics alternate as colours do, else "mono"."""
+    shares = []
+    for path in _a_few(paths):
+        samples = _bare(path, config)
+        h, w = samples.shape[0] // 2 * 2, samples.shape[1] // 2 * 2
+        blocks = samples[:h, :w].reshape(h // 2, 2, w // 2, 2).mean((1, 3))
+        shares.append(carrier_share(blocks, period=2))
+    return "bayer" if float(np.mean(shares)) > COLOUR_SHARE else "mono"
+
+
+def _a_few(paths: Sequence[Path]) -> list[Path]:
+    return list(paths)[:: max(1, len(paths) // LOOKED_AT)][:LOOKED_AT]
+
+
+LOOKED_AT = 4
+
+
+def _bare(path: Path, config: CaptureConfig) -> NDArray[np.float32]:
+    group = group_files([path], path.parent, config, stacks=False)[0]
+    return read_mosaic(group, config).pixels[..., 0]
+
+
+CARRIER_SHARE = 0.04
+"""Of the lit tiles that must show the pattern: measured 0.12 to 0.32 on mosaics of small objects, 0.005 at most on their
+grey pictures, 0.003 on textured photographs that were demosaiced themselves."""
+COLOUR_SHARE = 0.03
+"""The same for colours, which grey parts do not show: 0.07 to 0.29 on average, 0.00 on monochrome mosaics."""
+TILE = 4
+SURE = 6.0
+
+
+def carrier_share(samples: NDArray[np.float32], period: int) -> float:
+    """Share of lit tiles in which odd and even columns (or rows) differ steadily by more than content explains.
+
+    Per 2x2 block the step from its first to its second sample, less the slope over `period` on either side (a multiple
+    of the colours' period, so that colours do not enter), is averaged over tiles of 4x4 blocks and held against its own
+    scatter.
+    """
+    share = 0.0
+    for image in (samples, samples.T):
+        span = 2 * period
+        height, width = image.shape[0] // 2 * 2, (image.shape[1] - span) // 2 * 2
+        if height < 2 * TILE or width < 2 * TILE:
+            continue
+        here = image[:height, period : period + width]
+        before, after = here - image[:height, :width], image[:height, span : span + width] - here
+        slope = np.where(np.abs(before) < np.abs(after), before, after) / period  # the smoother side: edges are one-sided
+        step = (np.roll(here, -1, axis=1) - here - slope)[:, ::2]
+        step = (step[::2] + step[1::2]) / 2 if period == 4 else step[: height // 2 * 2]
+        rows, columns = step.shape[0] // TILE * TILE, step.shape[1] // TILE * TILE
+        tiles = step[:rows, :columns].reshape(rows // TILE, TILE, -1, TILE).swapaxes(1, 2).reshape(-1, TILE * TILE)
+        level = here[:: here.shape[0] // step.shape[0], ::2][:rows, :columns]
+        bright = level.reshape(rows // TILE, TILE, -1, TILE).mean((1, 3)).ravel()
+        lit = bright > 0.05 * np.percentile(bright, 99)
+        if lit.sum() < 4:
+            continue
+        z = np.abs(tiles.mean(1)) * TILE / (tiles.std(1) + 1e-9)
+        share = max(share, float((z[lit] > SURE).mean()))
+    return share

@@ -1,0 +1,1 @@
+"""What file names and headers say: views, angles, exposures, focal lengths."""

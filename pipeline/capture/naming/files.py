@@ -1,0 +1,181 @@
+"""Finding a capture's files: images, views, masks, environment maps; all by name and header, no pixels."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+
+from pipeline.bare_arrays import ARRAY_SUFFIXES
+from pipeline.capture.config import CaptureConfig
+from pipeline.capture.model import PolariserPrior, ViewSource
+from pipeline.errors import UserError
+from pipeline.formats.images import image_size
+
+FLOAT_SUFFIXES = frozenset({".exr", ".hdr"})
+PHOTO_SUFFIXES = frozenset(
+    {".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp", ".tga", ".pgm", ".ppm", ".pnm", ".pfm", ".webp"}
+)
+RAW_SUFFIXES = frozenset(
+    {".dng", ".nef", ".cr2", ".cr3", ".arw", ".raf", ".orf", ".rw2", ".pef", ".srw", ".3fr", ".iiq", ".nrw", ".kdc", ".dcr",
+     ".crw", ".mrw", ".mef", ".mos", ".erf", ".rwl", ".sr2", ".srf", ".fff"}
+)  # fmt: skip
+IMAGE_SUFFIXES = FLOAT_SUFFIXES | PHOTO_SUFFIXES | RAW_SUFFIXES
+UNREADABLE = {
+    ".r3d": "RED R3D files need RED's own decoder; export them as linear EXR (REDCINE-X, DaVinci Resolve)",
+    ".braw": "Blackmagic RAW needs its own decoder; export it as linear EXR (DaVinci Resolve)",
+    ".heic": "HEIC photographs are tone-mapped; export 16-bit TIFF or shoot DNG",
+    ".heif": "HEIF photographs are tone-mapped; export 16-bit TIFF or shoot DNG",
+    ".avif": "AVIF photographs are tone-mapped; export 16-bit TIFF or shoot DNG",
+    ".psd": "layers of a Photoshop file are no photograph; save it flattened as 16-bit TIFF",
+    ".gif": "GIF keeps 256 colours; export 16-bit TIFF or PNG",
+    ".jp2": "JPEG 2000 is not read here; convert it to 16-bit TIFF",
+    ".avi": "a video is compressed and tone-mapped; export its frames as images",
+    ".mp4": "a video is compressed and tone-mapped; export its frames as images",
+    ".mov": "a video is compressed and tone-mapped; export its frames as images",
+}
+MASK_FOLDERS = ("masks", "mask")
+IMAGE_FOLDERS = ("images", "images_full", "image", "raw", "photos")
+
+
+def list_images(folder: Path, suffixes: Iterable[str] = IMAGE_SUFFIXES) -> list[Path]:
+    """Image files below `folder`, sorted by path; arrays and bare samples where there are no others. Raises UserError naming
+    the way out of formats nobody can read."""
+    wanted, found, foreign, bare = set(suffixes), [], [], []
+    for where, folders, names in os.walk(folder):
+        folders[:] = sorted(f for f in folders if not f.startswith("."))
+        for name in names:
+            suffix = Path(name).suffix.lower()
+            if name.startswith("."):
+                continue
+            if suffix in wanted:
+                found.append(Path(where) / name)
+            elif suffix in UNREADABLE:
+                foreign.append(Path(where) / name)
+            elif suffix in ARRAY_SUFFIXES and wanted == IMAGE_SUFFIXES:
+                bare.append(Path(where) / name)
+    found = found or bare
+    if foreign and not found:
+        raise UserError(sorted(foreign)[0], "cannot be read", UNREADABLE[sorted(foreign)[0].suffix.lower()])
+    return sorted(found)
+
+
+def has_images(folder: Path, suffixes: Iterable[str] = IMAGE_SUFFIXES) -> bool:
+    """Whether any image lies anywhere below `folder`."""
+    wanted = set(suffixes) | set(UNREADABLE)
+    wanted |= ARRAY_SUFFIXES if set(suffixes) == IMAGE_SUFFIXES else frozenset()
+    return folder.is_dir() and any(
+        Path(name).suffix.lower() in wanted for _, _, names in os.walk(folder) for name in names if not name.startswith(".")
+    )
+
+
+def image_folder(root: Path) -> Path:
+    """The folder that VIEW names are relative to: images/ or one of its common other names, else the root."""
+    for name in IMAGE_FOLDERS:
+        if has_images(root / name):
+            return root / name
+    return root
+
+
+def view_name(path: Path, folder: Path) -> str:
+    """VIEW of an image: its path below the image folder without extension, '/' as '_'."""
+    return path.relative_to(folder).with_suffix("").as_posix().replace("/", "_")
+
+
+def refuse_duplicates(named: Iterable[tuple[str, Path]]) -> None:
+    """Raise UserError where two files would become the same VIEW (001.png beside 001.exr, a_b.png beside a/b.png)."""
+    seen: dict[str, Path] = {}
+    for view, path in named:
+        if view in seen:
+            raise UserError(path, f"has the same view name {view!r} as {seen[view]}", "rename or remove one of them")
+        seen[view] = path
+
+
+def find_environments(root: Path) -> tuple[Path, ...]:
+    """envmaps/*.hdr and *.exr, sorted."""
+    folder = root / "envmaps"
+    if not folder.is_dir():
+        return ()
+    return tuple(sorted(p for p in folder.iterdir() if p.suffix.lower() in FLOAT_SUFFIXES))
+
+
+def find_masks(root: Path, views: Mapping[str, Path], folder: Path) -> tuple[dict[str, Path], list[str]]:
+    """Mask files by VIEW from masks/ or mask/, under any of the usual names, and warnings for views without one.
+
+    `views` maps VIEW to its image, `folder` is the image folder. COLMAP's IMAGE.EXT.png is understood too.
+    """
+    where = next((root / name for name in MASK_FOLDERS if has_images(root / name, PHOTO_SUFFIXES)), None)
+    if where is None:
+        return {}, []
+    by_stem: dict[str, Path] = {}
+    for path in list_images(where, PHOTO_SUFFIXES):
+        name = path.relative_to(where).with_suffix("").as_posix()
+        by_stem.setdefault(name, path)
+        by_stem.setdefault(name.replace("/", "_"), path)
+    found: dict[str, Path] = {}
+    for view, image in views.items():
+        relative = image.relative_to(folder)
+        for stem in (relative.with_suffix("").as_posix(), relative.as_posix(), view):
+            if stem in by_stem:
+                found[view] = by_stem[stem]
+                break
+    if not found:
+        sample = list_images(where, PHOTO_SUFFIXES)[0].name
+        first = next(iter(views.values())).name
+        raise UserError(
+            where, f"none of its masks belongs to an image (mask {sample}, image {first})", "name each mask like its image"
+        )
+    missing = sorted(set(views) - set(found))
+    warnings = []
+    if missing:
+        warnings.append(f"{where}: no mask for {count(missing, 'view')} ({some(missing)}); they are segmented")
+    spare = len({id(p) for p in by_stem.values()}) - len(set(found.values()))
+    if spare > 0:
+        warnings.append(f"{where}: {spare} masks belong to no image and are ignored")
+    return found, warnings
+
+
+def check_masks(masks: Mapping[str, Path], size_of: Callable[[str], tuple[int, int]]) -> None:
+    """Raise UserError for a mask of another size than its image (sizes in pixels, from headers)."""
+    for view, mask in masks.items():
+        have, want = image_size(mask), size_of(view)
+        if have != want:
+            turned = " (turned by 90°: images are read as stored, without EXIF rotation)" if have == want[::-1] else ""
+            raise UserError(
+                mask, f"is {have[0]}x{have[1]}, its image is {want[0]}x{want[1]}{turned}", "make the mask in the image's size"
+            )
+
+
+def polariser_priors(cameras: Iterable[str], config: CaptureConfig, root: Path) -> dict[str, PolariserPrior]:
+    """What capture.toml tells of each physical camera's polariser; nothing told: angle unknown, to be optimised."""
+    names = sorted(set(cameras))
+    unknown = sorted(set(config.polarisers) - set(names))
+    if unknown:
+        raise UserError(
+            root / "capture.toml", f"polarisers.{unknown[0]}: no camera has this name", f"the cameras are {', '.join(names)}"
+        )
+    out = {}
+    for name in names:
+        told = config.polarisers.get(name)
+        if told is None:
+            out[name] = PolariserPrior()
+        else:
+            out[name] = PolariserPrior(told.angle_deg, told.trusted and told.angle_deg is not None, told.extinction)
+    return out
+
+
+def sorted_views(views: Iterable[ViewSource]) -> tuple[ViewSource, ...]:
+    """Views in the order that every stage uses: sorted by VIEW."""
+    return tuple(sorted(views, key=lambda v: v.view))
+
+
+def count(items: Iterable[object], noun: str) -> str:
+    """'1 view', '3 views'."""
+    n = len(list(items))
+    return f"{n} {noun}" if n == 1 else f"{n} {noun}s"
+
+
+def some(names: Iterable[str], limit: int = 4) -> str:
+    """The first few of many names."""
+    listed = list(names)
+    return ", ".join(listed[:limit]) + (f" and {len(listed) - limit} more" if len(listed) > limit else "")

@@ -1,0 +1,1 @@
+"""Image files to linear radiance and Stokes vectors."""

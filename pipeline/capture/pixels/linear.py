@@ -1,0 +1,153 @@
+"""One image file to linear radiance: encoding, levels, exposure; no tone curve, no guessing from pixel values."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.capture.config import RadiometryConfig
+from pipeline.capture.naming.files import RAW_SUFFIXES
+from pipeline.capture.pixels.frame_memory import frame_array
+from pipeline.capture.pixels.row_bands import ROWS, LinearReader
+from pipeline.errors import UserError
+from pipeline.image_parts import Page
+
+
+@dataclass
+class LinearImage:
+    """Linear pixels [H, W, C] float32 with their channel names; saturated [H, W]; orientation is EXIF's (1 upright)."""
+
+    pixels: NDArray[np.float32]
+    names: tuple[str, ...]
+    saturated: NDArray[np.bool_]
+    bits: int
+    orientation: int = 1
+    exposure_s: float | None = None
+    encoding: str = "linear"
+
+    def channels(self, wanted: Sequence[str], path: Path) -> NDArray[np.float32]:
+        """The named channels [H, W, len(wanted)], case ignored. Raises UserError naming what the file has."""
+        lower = [name.lower() for name in self.names]
+        missing = [name for name in wanted if name.lower() not in lower]
+        if missing:
+            raise UserError(
+                path, f"no channel {', '.join(missing)} (it has {', '.join(self.names)})", "export it with these channels"
+            )
+        index = [lower.index(name.lower()) for name in wanted]
+        if index == list(range(index[0], index[0] + len(index))):
+            return self.pixels[..., index[0] : index[0] + len(index)]
+        return self.pixels[..., index]
+
+    def rgb(self, path: Path) -> NDArray[np.float32]:
+        """Colour [H, W, 3]; a single channel is grey."""
+        lower = [name.lower() for name in self.names]
+        if all(name in lower for name in "rgb"):
+            return self.channels(("R", "G", "B"), path)
+        grey = [name for name in self.names if name.lower() in ("y", "l", "i", "gray", "luminance")]
+        if grey or len(self.names) == 1:
+            return np.repeat(self.channels((grey or [self.names[0]])[:1], path), 3, axis=-1)
+        raise UserError(path, f"no colour channels (it has {', '.join(self.names)})", "export R, G, B or S0.R .. S2.B")
+
+    @property
+    def alpha(self) -> NDArray[np.float32] | None:
+        """The alpha channel [H, W], or None."""
+        lower = [name.lower() for name in self.names]
+        return self.pixels[..., lower.index("a")] if "a" in lower else None
+
+
+def read_linear(
+    path: Path, radiometry: RadiometryConfig, sensor_data: bool = False, page: Page | None = None
+) -> LinearImage:
+    """Read any image file as linear radiance, float32 in the file's own orientation (EXIF rotation is not applied).
+
+    8-bit files are sRGB unless `sensor_data` (a mosaic straight from the sensor) or capture.toml says linear; 16-bit
+    and float files are linear. Levels of capture.toml (`black_level`, `white_level`) map to 0 and 1. `page`: one image of a
+    file that holds several. Raises UserError.
+    """
+    if path.suffix.lower() in RAW_SUFFIXES:
+        from pipeline.capture.pixels.raw import read_raw_rgb
+
+        return calibrated(read_raw_rgb(path, radiometry), path, radiometry)
+    reader = LinearReader(path, radiometry, sensor_data, page)
+    width, height = reader.size
+    pixels = frame_array((height, width, len(reader.names)))
+    saturated = np.empty((height, width), bool)
+    try:
+        for start in range(0, height, ROWS):
+            stop = min(start + ROWS, height)
+            reader.fill(start, stop, pixels[start:stop], saturated[start:stop])
+    finally:
+        reader.close()
+    linear = LinearImage(pixels, reader.names, saturated, reader.bits, reader.orientation, reader.exposure_s, reader.encoding)
+    return calibrated(linear, path, radiometry)
+
+
+def calibrated(image: LinearImage, path: Path, radiometry: RadiometryConfig) -> LinearImage:
+    """Less the dark frame, over the flat field (whose mean is kept), at the usual exposure where the file's differs; in place.
+    Raises UserError on other sizes."""
+    from pipeline.capture.radiometry import factor_of
+
+    colour = [i for i, name in enumerate(image.names) if name.lower() != "a"]
+    bare = replace(radiometry, dark_frame=None, flat_field=None)
+    dark: NDArray[np.float32] | np.float32 = np.float32(0)
+    if radiometry.dark_frame:
+        dark = _reference(path, radiometry.dark_frame, bare, image, len(colour))
+        image.pixels[..., colour] -= dark
+    if radiometry.flat_field:
+        flat = _reference(path, radiometry.flat_field, bare, image, len(colour)) - dark
+        if not flat.min() > 0:
+            raise UserError(
+                _beside(path, radiometry.flat_field),
+                "the flat field has black pixels",
+                "expose it brighter, or give its dark frame",
+            )
+        image.pixels[..., colour] /= flat / flat.mean((0, 1))
+    if (factor := factor_of(radiometry, path)) != 1:
+        image.pixels[..., colour] *= np.float32(factor)
+    return image
+
+
+def _beside(path: Path, name: str) -> Path:
+    """The file `name`, relative to the capture that `path` lies in. Raises UserError."""
+    found = next((parent / name for parent in path.parents if (parent / name).is_file()), None)
+    if found is None or found == path:
+        raise UserError(name, "named in capture.toml but not there", "give its path relative to the capture")
+    return found
+
+
+def _reference(path: Path, name: str, radiometry: RadiometryConfig, image: LinearImage, colours: int) -> NDArray[np.float32]:
+    """A dark frame or flat field [H, W, colours] of the capture that `path` lies in."""
+    found = _beside(path, name)
+    reference = read_linear(found, radiometry)
+    pixels = reference.pixels[..., [i for i, n in enumerate(reference.names) if n.lower() != "a"]]
+    if pixels.shape != (*image.pixels.shape[:2], colours):
+        raise UserError(
+            found, f"has the shape {pixels.shape}, {path.name} {image.pixels.shape}", "take it with the same camera"
+        )
+    return pixels
+
+
+def fill_holes(image: NDArray[np.float32]) -> NDArray[np.bool_] | None:
+    """Replace non-finite pixels of [H, W, ...] in place by their nearest finite neighbour (zero if there is none).
+
+    Returns where they were [H, W], or None if there were none.
+    """
+    # A finite sum has finite terms; one that is not may only have overflowed, which the exact test below tells.
+    if np.isfinite(image.sum()):
+        return None
+    flat = image.reshape(*image.shape[:2], -1)
+    holes: NDArray[np.bool_] = np.any(~np.isfinite(flat), axis=-1)
+    if holes.all():
+        flat[:] = 0
+        return holes
+    if not holes.any():
+        return None
+    from scipy.ndimage import distance_transform_edt
+
+    row, column = distance_transform_edt(holes, return_distances=False, return_indices=True)
+    flat[holes] = flat[row[holes], column[holes]]
+    return holes

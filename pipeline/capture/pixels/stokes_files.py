@@ -1,0 +1,92 @@
+"""Loaders for files that hold Stokes vectors or plain colour already."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.capture.config import CaptureConfig, RadiometryConfig, StokesConfig
+from pipeline.capture.model import DecodedView
+from pipeline.capture.pixels.linear import LinearImage, fill_holes, read_linear
+from pipeline.capture.pixels.stokes_frame import apply_stokes_config
+from pipeline.capture.radiometry import factor_of
+from pipeline.errors import UserError
+from pipeline.formats.images import STOKES
+
+GREY_STOKES = (("S0.Y", "S1.Y", "S2.Y"), ("S0", "S1", "S2"))
+
+
+def holds_stokes(names: list[str] | tuple[str, ...]) -> bool:
+    """Whether these channel names are a Stokes image (colour or grey)."""
+    lower = {name.lower() for name in names}
+    return any(all(c.lower() in lower for c in wanted) for wanted in (STOKES, *GREY_STOKES))
+
+
+def stokes_of(image: LinearImage, path: Path) -> NDArray[np.float32]:
+    """The Stokes channels [H, W, 3 stokes, 3 rgb]; grey ones are repeated. Raises UserError naming what is missing."""
+    lower = {name.lower() for name in image.names}
+    for wanted in GREY_STOKES:
+        if all(c.lower() in lower for c in wanted):
+            return np.repeat(image.channels(wanted, path)[..., None], 3, axis=-1)
+    flat = np.ascontiguousarray(image.channels(STOKES, path))
+    return flat.reshape(*flat.shape[:2], 3, 3)
+
+
+def stokes_exr_loader(path: Path, config: CaptureConfig) -> Callable[[], DecodedView]:
+    """A loader of one Stokes EXR."""
+
+    def load() -> DecodedView:
+        image = read_linear(path, replace(config.radiometry, encoding="linear"))
+        stokes = apply_stokes_config(stokes_of(image, path), config.stokes)
+        view = finished(DecodedView(stokes=stokes, saturated=image.saturated, alpha=image.alpha), path)
+        if config.stokes == StokesConfig() and is_verbatim(view, image, path, STOKES, config):
+            view.verbatim = path
+        return view
+
+    return load
+
+
+def is_verbatim(view: DecodedView, image: LinearImage, path: Path, names: tuple[str, ...], config: CaptureConfig) -> bool:
+    """Whether an EXR file already is what decode would write of it: these channels, as they are."""
+    told = {f.name: getattr(config.radiometry, f.name) for f in fields(RadiometryConfig)}
+    radiometry = RadiometryConfig(**(told | {"encoding": None, "saturation": None, "exif_exposure": None}))
+    return (
+        path.suffix.lower() == ".exr"
+        and set(names) <= set(image.names)
+        and radiometry == RadiometryConfig()
+        and factor_of(config.radiometry, path) == 1
+        and not view.faults
+    )
+
+
+FILLED = "not finite: filled from the nearest pixel and marked as saturated"
+
+
+def mended(pixels: NDArray[np.float32], saturated: NDArray[np.bool_] | None, path: Path) -> tuple[Any, dict[str, int]]:
+    """Fill what is not finite of [H, W, ...] in place: (saturated with those pixels marked, the fault to tell)."""
+    holes = fill_holes(pixels)
+    if holes is None:
+        return saturated, {}
+    if holes.all():
+        raise UserError(path, "holds no finite pixel", "render or export it again")
+    return holes if saturated is None else saturated | holes, {FILLED: int(holes.sum())}
+
+
+def finished(view: DecodedView, path: Path, image: LinearImage | None = None, whole: bool = False) -> DecodedView:
+    """Fill what is not finite, unless its samples were `whole`, and name what a user should know of this file."""
+    if not whole:
+        pixels = view.stokes if view.stokes is not None else view.rgb
+        assert pixels is not None
+        view.saturated, faults = mended(pixels, view.saturated, path)
+        view.faults |= faults
+    if image is not None and image.orientation != 1:
+        view.faults[f"EXIF rotation {image.orientation} is not applied: frames stay as the sensor saw them"] = 0
+    if image is not None and image.bits == 8:
+        how = "sRGB" if image.encoding == "srgb" else "linear"
+        view.faults[f"8 bits a channel, taken as {how}: polarisation wants linear 16-bit or float files"] = 0
+    return view

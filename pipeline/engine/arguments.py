@@ -1,0 +1,117 @@
+"""The command line of `polarfield`: its options, and one line for whatever is wrong with them."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import re
+import typing
+from collections.abc import Mapping, Sequence
+from typing import NoReturn
+
+from pipeline.engine.stage import Stage
+from pipeline.errors import UserError, nearest
+
+EPILOG = "A capture folder is never written to. docs/captures.md lists what is recognised; docs/stages.md what comes out."
+COMMANDS = {
+    "all": "run every stage that the capture needs, with exactly the parameters and maps that are given",
+    "plan": "print what `all` would run, what is done already, and why",
+    "inspect": "write a page that shows what was understood of a capture, before anything long runs",
+    "report": "write the report of the results in use and say where it lies; runs no other stage",
+    "gc": "remove versions that nothing in use was made from, and unfinished work; lists them, and asks on a terminal",
+}
+MAKE_VARIABLES = {"--dataset": "DATASET", "--params": "PARAMS", "--envs": "ENVS", "--device": "DEVICE", "--jobs": "JOBS"}
+DEVICES = ("auto", "cpu", "cuda")
+OTHER_NAMES = {"gpu": "cuda", "nvidia": "cuda"}  # what people write for a device
+
+
+def parse(stages: Mapping[str, Stage], arguments: Sequence[str]) -> argparse.Namespace:
+    """The options of one call. Raises UserError in one line that names the argument and the nearest valid one."""
+    given = list(arguments)
+    if not given:
+        raise UserError("COMMAND", "none was given", f"{nearest('', [*COMMANDS, *stages])}; --help explains them")
+    if not given[0].startswith("-") and given[0] not in (*COMMANDS, *stages):
+        raise UserError(given[0], "is not a command", nearest(given[0], [*COMMANDS, *stages]))
+    options, unknown = _parser(stages).parse_known_args(given)
+    if unknown:
+        flag = next((a for a in unknown if a.startswith("-")), unknown[0])
+        raise _unknown(flag, options.command, stages)
+    if options.jobs < 1:
+        raise UserError(_spoken("--jobs"), f"{options.jobs} is not a whole number from 1 on", "as in 2")
+    return options
+
+
+def _unknown(flag: str, command: str, stages: Mapping[str, Stage]) -> UserError:
+    name = flag.partition("=")[0]
+    if not name.startswith("-"):
+        return UserError(flag, "one capture folder is taken, this is a second", "quote a path that holds spaces")
+    own = [f"--{n}" for n in (_flags(stages[command]) if command in stages else ())]
+    owner = next((s for s in stages if name in {f"--{n}" for n in _flags(stages[s])}), None)
+    if owner and owner != command:
+        parameter = name[2:].replace("-", "_")
+        return UserError(name, f"is a parameter of {owner}, not of {command}", f'as in --params "{owner}.{parameter}=VALUE"')
+    near = nearest(name, [*own, *MAKE_VARIABLES, "--quiet", *(("--dry-run", "--yes") if command == "gc" else ())])
+    return UserError(name, f"{command} has no such option", near)
+
+
+def _flags(stage: Stage) -> list[str]:
+    return [f.name.replace("_", "-") for f in dataclasses.fields(stage.parameters)]
+
+
+def _spoken(flag: str) -> str:
+    """An option as a user of make and one of the command know it."""
+    return f"{MAKE_VARIABLES[flag]} ({flag})" if flag in MAKE_VARIABLES else flag
+
+
+class _OneLineParser(argparse.ArgumentParser):
+    """argparse, with faults as UserError instead of a usage block."""
+
+    def error(self, message: str) -> NoReturn:
+        """Raise argparse's complaint in the project's own form."""
+        about = re.match(r"argument (\S+): (.*)", message)
+        flag, fault = (_spoken(about[1]), about[2]) if about else ("COMMAND", message)
+        if choice := re.match(r"invalid choice: '(.*)' \(choose from (.*)\)", fault):
+            valid = re.findall(r"[\w.-]+", choice[2])
+            near = f"did you mean {OTHER_NAMES[choice[1].lower()]}?" if choice[1].lower() in OTHER_NAMES else ""
+            raise UserError(flag, f"{choice[1]!r} is not known", near or nearest(choice[1], valid))
+        if number := re.match(r"invalid int value: (.*)", fault):
+            raise UserError(flag, f"{number[1]} is not a whole number", "as in 2")
+        raise UserError(flag, fault, f"`{self.prog} --help` lists the options")
+
+
+def _parser(stages: Mapping[str, Stage]) -> argparse.ArgumentParser:
+    parser = _OneLineParser(prog="polarfield", description="Captures in, datasets out.", epilog=EPILOG)
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    for name, text in COMMANDS.items():
+        sub = commands.add_parser(name, help=text, description=text, epilog=EPILOG)
+        _common(sub)
+        if name == "gc":
+            sub.add_argument("--dry-run", action="store_true", help="list what would go, and remove nothing")
+            sub.add_argument("--yes", action="store_true", help="do not ask")
+    for name, stage in stages.items():
+        text = f"run the {name} stage and what it needs; other stages keep the parameters and maps of the last run"
+        sub = commands.add_parser(name, help=f"run the {name} stage and what it needs", description=text, epilog=EPILOG)
+        _common(sub)
+        group = sub.add_argument_group(f"{name} parameters")
+        hints = typing.get_type_hints(stage.parameters)
+        for f in dataclasses.fields(stage.parameters):
+            choices = typing.get_args(hints[f.name]) if typing.get_origin(hints[f.name]) is typing.Literal else None
+            default = getattr(stage.parameters(), f.name)
+            note = f"{f.metadata.get('help', '')} [default: {default}]".replace("%", "%%")
+            if choices:
+                note += f" one of {', '.join(map(str, choices))}"
+            flag = "--" + f.name.replace("_", "-")
+            group.add_argument(flag, dest=f"p_{f.name}", default=None, metavar="VALUE", help=note)
+    return parser
+
+
+def _common(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
+    add("capture", nargs="?", default="", help="the capture folder (default: the one that DATASET was made from)")
+    add("--dataset", default="", help="the dataset directory [default: datasets/<capture folder's name>]")
+    add("--params", default="", metavar="TEXT", help='parameters of any stage, as "train.iterations=500 olat.solver=closed"')
+    add("--envs", default="", metavar="TEXT", help='more environment maps to relight under, as "a.hdr b.exr"')
+    add("--device", default="auto", choices=DEVICES, help="where to train: auto, cpu or cuda [default: auto]")
+    add("--jobs", type=int, default=1, help="how many independent pieces to work on side by side [default: 1]")
+    add("--quiet", action="store_true", help="say nothing but errors and the result")
+    add("--alone", action="store_true", help=argparse.SUPPRESS)

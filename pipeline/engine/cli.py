@@ -1,0 +1,294 @@
+"""The `polarfield` command: `all`, one command per stage, `plan`, `inspect`, `report`, `gc`."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from pipeline.capture import Capture
+from pipeline.engine.arguments import parse
+from pipeline.engine.changes import State, keep_hint, outlook, plan_text, stale_after, states
+from pipeline.engine.dataset import Dataset, digest_json
+from pipeline.engine.gc import collect
+from pipeline.engine.places import open_places, refuse_another_capture
+from pipeline.engine.plan import Step, load_stages, make_plan, plan_as_json
+from pipeline.engine.progress import Progress
+from pipeline.engine.settings import (
+    Settings,
+    given_settings,
+    remember,
+    remembered_settings,
+    settings_of_one_stage,
+    with_environments,
+)
+from pipeline.engine.stage import Stage
+from pipeline.errors import UserError
+
+REPORT = "metrics"  # the stage whose output the report is
+
+
+@dataclass(frozen=True)
+class Call:
+    """One call of the command: its options, and what they come to."""
+
+    options: argparse.Namespace
+    stages: Mapping[str, Stage]
+    capture: Capture
+    dataset: Dataset
+    settings: Settings
+    last: Settings
+    progress: Progress
+
+    @property
+    def command(self) -> str:
+        """What was asked for."""
+        return self.options.command
+
+
+def main(modules: Mapping[str, str], arguments: Sequence[str]) -> int:
+    """Run one command; returns the exit status: 0 done, 2 a fault of input, 130 interrupted."""
+    try:
+        return _run(modules, arguments)
+    except UserError as error:
+        print(f"polarfield: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("polarfield: interrupted; the same command resumes where it can", file=sys.stderr)
+        return 130
+    except BrokenPipeError:
+        return 0
+
+
+def stage_main(name: str) -> None:
+    """Entry of `python -m stages.NAME`."""
+    from stages import STAGES
+
+    sys.exit(main(STAGES, [name, *sys.argv[1:]]))
+
+
+def _run(modules: Mapping[str, str], arguments: Sequence[str]) -> int:
+    stages = load_stages(modules)
+    options = parse(stages, arguments)
+    if options.command == "gc":
+        return collect(options, stages)
+    call = _call(options, stages)
+    if options.command in ("plan", "inspect"):
+        return _show(call)
+    if options.command == "report":
+        return _report(call)
+    call.dataset.prepare()
+    with call.dataset.in_use():
+        steps = make_plan(call.capture, stages, call.settings.parameters, call.capture.environments, call.dataset.digests)
+        refuse_another_capture(call.dataset, call.capture, steps)
+        call.dataset.digests.save(call.dataset.write_text)
+        return _make_alone(call, steps) if options.alone else _bring_up_to_date(call, steps)
+
+
+def _call(options: argparse.Namespace, stages: Mapping[str, Stage]) -> Call:
+    capture, dataset = open_places(options.capture, options.dataset, options.command)
+    own = {k[2:]: v for k, v in vars(options).items() if k.startswith("p_") and v is not None}
+    given = given_settings(options.params, options.envs, own, options.command, stages)
+    last = remembered_settings(dataset.read_description(), dataset.root, stages)
+    inherits = (options.command in stages and not options.alone) or options.command == "report"
+    settings = settings_of_one_stage(options.command, given, last, stages) if inherits else given
+    capture = with_environments(capture, settings.environments)
+    return Call(options, stages, capture, dataset, settings, last, Progress(quiet=options.quiet))
+
+
+def _show(call: Call) -> int:
+    """`plan` and `inspect`: what `all` would do; writes nothing to the dataset."""
+    known = call.dataset.exists  # a capture without a dataset is not read through for a plan
+    digests = call.dataset.digests if known else None
+    steps = make_plan(call.capture, call.stages, call.settings.parameters, call.capture.environments, digests)
+    if known:
+        refuse_another_capture(call.dataset, call.capture, steps)
+    found = states(call.dataset, steps)
+    print(f"{call.capture.root.name}: {call.capture.layout}\n{plan_text(steps, found)}\n{outlook(found)}")
+    if hint := keep_hint(call.last, call.settings, found, call.command not in call.stages):
+        print(hint)
+    if call.command == "inspect":
+        from pipeline.report.inspect import write_inspection
+
+        folder = call.dataset.root.with_name(call.dataset.root.name + "-inspect")
+        print(f"inspection: {write_inspection(call.capture, steps, folder, found)}")
+    return 0
+
+
+def _report(call: Call) -> int:
+    """`report`: the metrics stage alone, of the versions in use; refuses where others would have to be made."""
+    if not call.dataset.exists:
+        raise UserError(call.dataset.root, "there are no results to report on yet", "`make all` makes them")
+    call.dataset.prepare()
+    with call.dataset.in_use():
+        steps = make_plan(call.capture, call.stages, call.settings.parameters, call.capture.environments, call.dataset.digests)
+        refuse_another_capture(call.dataset, call.capture, steps)
+        found = states(call.dataset, steps)
+        for name, state in found.items():
+            if name != REPORT and state.kind not in ("skip", "done"):
+                made = _report_path(call.dataset)
+                old = f"; the last report is {made}" if made.exists() else ""
+                fault = f"is not up to date ({state.why or 'it has not been made'}), and report runs no other stage"
+                raise UserError(name, fault, f"`make {REPORT}` with the same arguments does{old}")
+        call.dataset.digests.save(call.dataset.write_text)
+        return _bring_up_to_date(call, steps)
+
+
+def _bring_up_to_date(call: Call, steps: list[Step]) -> int:
+    command, dataset, say = call.command, call.dataset, call.progress.say
+    for warning in call.capture.warnings:
+        say(f"warning: {warning}")
+    target = {"all": None, "report": REPORT}.get(command, command)
+    step = next((s for s in steps if s.stage.name == target), None)
+    if step is not None and not step.decision.run:
+        print(f"{target}: not needed ({step.decision.reason})")
+        return 0
+    wanted = _wanted(steps, target)
+    found = {name: state for name, state in states(dataset, steps).items() if name in {s.stage.name for s in wanted}}
+    kept = remember(call.last, call.settings, set(found), call.stages)
+    if call.options.device == "cuda" and any(s.stage.device and not found[s.stage.name].ready for s in wanted):
+        _check_cuda()
+    _describe(call, steps, kept)
+    _announce(call, steps, found)
+    made = [s.stage.name for s in wanted if _bring(call, s)]
+    _describe(call, steps, kept)
+    if all(state.kind == "done" for state in found.values()) and not made:
+        print(f"{dataset.root}: up to date, nothing to do")
+    if wanted[-1].stage.name == REPORT:
+        print(f"report: {_report_path(dataset)}")
+    elif target is not None:
+        print(f"{target}: {dataset.root / target / 'current'}")
+    if stale := stale_after(dataset, steps):
+        print(f"out of date: {', '.join(stale)} (made from earlier versions); `make {REPORT}` brings everything up to date")
+    return 0
+
+
+def _announce(call: Call, steps: list[Step], found: Mapping[str, State]) -> None:
+    """What will be made again and why, before it is."""
+    if call.command == "all" and not all(state.ready for state in found.values()):
+        for step in steps:
+            if not step.decision.run:
+                call.progress.say(f"{step.stage.name}: left out ({step.decision.reason})")
+    for name, state in found.items():
+        if state.kind in ("again", "switch") and state.root:
+            verb = "made again" if state.kind == "again" else "an earlier version is put to use"
+            call.progress.say(f"{name}: {verb} ({state.why})")
+    if hint := keep_hint(call.last, call.settings, found, call.command not in call.stages):
+        call.progress.say(hint)
+
+
+def _bring(call: Call, step: Step) -> bool:
+    """Put the version of a step to use, made now where there is none; returns whether it was made. Raises UserError."""
+    name, dataset = step.stage.name, call.dataset
+    version = dataset.find(name, step.key)
+    made = version is None
+    if version is None:
+        status = _in_a_process_of_its_own(call, name)
+        version = dataset.find(name, step.key)
+        if status:
+            sys.exit(status)  # the child has said why
+        if version is None:  # it made another key than was planned here
+            raise UserError(name, "the capture or the program was changed during the run", "the same command goes on from here")
+    dataset.use(version)
+    return made
+
+
+def _wanted(steps: list[Step], target: str | None) -> list[Step]:
+    """The steps to bring up to date: all that run, or the target with everything upstream of it."""
+    running = [s for s in steps if s.decision.run]
+    if target is None:
+        return running
+    names, out = {target}, []
+    for step in reversed(running):
+        if step.stage.name in names:
+            names.update(step.needs)
+            out.append(step)
+    return out[::-1]
+
+
+def _make_alone(call: Call, steps: list[Step]) -> int:
+    """The child's part of a run: one stage, whose inputs are there."""
+    from pipeline.engine.execute import make_version
+
+    step = next(s for s in steps if s.stage.name == call.command)
+    device = _device(call.options.device) if step.stage.device else "cpu"
+    make_version(call.dataset, call.capture, step, call.capture.environments, device, call.options.jobs, call.progress)
+    return 0
+
+
+def _in_a_process_of_its_own(call: Call, name: str) -> int:
+    """Run one stage in a child: its memory is its own, and a crash of a native library ends the stage alone."""
+    options = call.options
+    command = [sys.executable, "-m", "stages", name, str(call.capture.root), "--dataset", str(call.dataset.root), "--alone"]
+    command += [f"--params={call.settings.params_text()}", f"--envs={call.settings.envs_text()}"]
+    command += ["--device", options.device, "--jobs", str(options.jobs)] + (["--quiet"] if options.quiet else [])
+    path = os.pathsep.join(filter(None, [str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH", "")]))
+    sys.stdout.flush()
+    child = subprocess.Popen(command, env={**os.environ, "PYTHONPATH": path}, preexec_fn=_die_with_parent)
+    try:
+        status = child.wait()
+    except KeyboardInterrupt:
+        child.wait()
+        raise
+    if status < 0:
+        why = signal.Signals(-status).name
+        hint = "it may have run out of memory; " if status == -signal.SIGKILL else ""
+        raise UserError(name, f"the stage was ended by {why}", f"{hint}the same command resumes it")
+    return status
+
+
+def _die_with_parent() -> None:
+    """Ask Linux to kill this process when its parent dies, so that a kill of `make all` leaves nothing running."""
+    import ctypes
+
+    pr_set_pdeathsig = 1
+    ctypes.CDLL(None).prctl(pr_set_pdeathsig, signal.SIGKILL)
+
+
+def _describe(call: Call, steps: list[Step], kept: Settings) -> None:
+    """Write `dataset.json`: the plan, with the passes that finished stages decided on by what they saw, and what was given."""
+    plan, dataset = plan_as_json(steps), call.dataset
+    for step in steps:
+        version = dataset.find(step.stage.name, step.key) if step.decision.run else None
+        facts = version.manifest.get("facts", {}) if version else {}
+        passes = {k: v for k, v in facts.items() if isinstance(v, dict) and {"run", "reason"} <= set(v)}
+        if passes:
+            plan[step.stage.name]["passes"] = {**plan[step.stage.name].get("passes", {}), **passes}
+    fingerprint = digest_json([step.inputs.get("files", {}) for step in steps])
+    where = os.path.relpath(call.capture.root, dataset.root)
+    facts = {"capture": where, "layout": call.capture.layout, "fingerprint": fingerprint, "plan": plan}
+    dataset.describe({**facts, "given": kept.as_json(dataset.root)})
+
+
+def _report_path(dataset: Dataset) -> Path:
+    return dataset.root / REPORT / "current" / "report.html"
+
+
+def _check_cuda() -> None:
+    """Raise UserError where training on the GPU cannot be: told before anything runs."""
+    import importlib.util
+
+    import torch
+
+    if not torch.cuda.is_available():
+        build = "" if torch.version.cuda else ", and this build of torch has no CUDA"
+        raise UserError("DEVICE (--device)", f"cuda: no usable GPU is here{build}", "give cpu, or auto")
+    if importlib.util.find_spec("gsplat") is None:
+        raise UserError("DEVICE (--device)", "cuda: gsplat is not installed", "pip install gsplat, or give cpu")
+
+
+def _device(choice: str) -> str:
+    if choice != "auto":
+        return choice
+    import importlib.util
+
+    if not Path("/dev/nvidiactl").exists() or importlib.util.find_spec("gsplat") is None:
+        return "cpu"  # decided without importing torch
+    import torch
+
+    return "cuda" if torch.cuda.is_available() else "cpu"

@@ -1,0 +1,111 @@
+"""Make one version of one stage: resume, watch the cost, publish whole."""
+
+from __future__ import annotations
+
+import errno
+import importlib.metadata
+import shutil
+import sys
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from pipeline.capture import Capture
+from pipeline.engine.dataset import Dataset, Version
+from pipeline.engine.dataset.digests import digest_file
+from pipeline.engine.dataset.usage import Usage
+from pipeline.engine.plan import Step, as_json
+from pipeline.engine.progress import Progress, brief
+from pipeline.engine.stage import StageRun
+from pipeline.errors import UserError
+
+PACKAGES = {
+    "numpy": "numpy", "OpenImageIO": "OpenImageIO", "torch": "torch", "numba": "numba", "jax": "jax",
+    "jaxopt": "jaxopt", "open3d": "open3d", "pycolmap": "pycolmap", "rawpy": "rawpy", "scipy": "scipy", "cv2":
+    "opencv-python-headless", "skimage": "scikit-image", "gsplat": "gsplat", "transformers": "transformers",
+}  # fmt: skip
+
+
+def make_version(
+    dataset: Dataset,
+    capture: Capture,
+    step: Step,
+    environments: tuple[Path, ...],
+    device: str,
+    jobs: int,
+    progress: Progress,
+) -> Version:
+    """The version of `step`: the published one where there is one, else made now. Raises UserError."""
+    name, key = step.stage.name, step.key
+    if version := dataset.find(name, key):
+        return version
+
+    def waiting() -> None:
+        progress.say(f"{name}: another run is making this version; waiting for it")
+
+    with dataset.making(name, key, waiting) as work:
+        if version := dataset.find(name, key):
+            return version
+        resumed = (work / "usage.json").exists()
+        progress.say(f"{name}: {'resuming' if resumed else 'running'} ({step.decision.reason})")
+        output, scratch = work / "output", work / "scratch"
+        if output.exists():
+            shutil.rmtree(output)
+        output.mkdir()
+        scratch.mkdir(exist_ok=True)
+        inputs = {n: _published(dataset, n, step.inputs["stages"][n]) for n in step.needs}
+        run = StageRun(capture, step.parameters, inputs, output, scratch, device, environments, progress, jobs)
+        usage = Usage(work / "usage.json")
+        try:
+            step.stage.run(run)
+            figures = usage.stop()
+            version = dataset.publish(name, key, output, _manifest(step, run, output, figures))
+        except OSError as error:
+            raise _target_fault(error, dataset.root) from error
+        finally:
+            usage.stop()
+        dataset.clear_work(name, key)
+        progress.say(f"{name}: done in {brief(float(figures['wall_s']))}, {figures['peak_rss_mb']:.0f} MB")
+        return version
+
+
+def _published(dataset: Dataset, stage: str, key: str) -> Path:
+    version = dataset.find(stage, key)
+    if version is None:
+        raise UserError(dataset.root / stage / key, "this version is missing or damaged", "run `make all` again")
+    return version.folder
+
+
+def _manifest(step: Step, run: StageRun, output: Path, figures: Mapping[str, Any]) -> dict[str, Any]:
+    files = sorted(p for p in output.rglob("*") if p.is_file())
+    outputs = [{"path": p.relative_to(output).as_posix(), "bytes": p.stat().st_size, "digest": digest_file(p)} for p in files]
+    return {
+        "schema": 1,
+        "stage": step.stage.name,
+        "key": step.key,
+        "version": step.stage.version,
+        "parameters": as_json(step.parameters),
+        "inputs": step.inputs,
+        "outputs": outputs,
+        **figures,
+        "device": run.device,
+        "packages": _packages(),
+        "warnings": run.warnings,
+        "facts": as_json(run.facts),
+        "decision": replace(step.decision).as_json(),
+    }
+
+
+def _packages() -> dict[str, str]:
+    """Versions of the libraries that this process has loaded."""
+    loaded = {package for module, package in PACKAGES.items() if module in sys.modules}
+    return {"python": sys.version.split()[0], **{p: importlib.metadata.version(p) for p in sorted(loaded)}}
+
+
+def _target_fault(error: OSError, root: Path) -> Exception:
+    if error.errno in (errno.ENOSPC, errno.EDQUOT):
+        return UserError(root, "no space left on the target", "free some space or choose another DATASET=")
+    if error.errno in (errno.EROFS, errno.EACCES, errno.EPERM):
+        return UserError(error.filename or root, f"cannot be used ({error.strerror})", "check its permissions")
+    return error

@@ -1,0 +1,136 @@
+"""What a stage is: a name, parameters, a decision whether a scene needs it, and a run that fills one folder."""
+
+from __future__ import annotations
+
+import dataclasses
+import types
+import typing
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pipeline.engine.progress import Progress
+from pipeline.errors import UserError, nearest
+
+if TYPE_CHECKING:
+    from pipeline.capture import Capture
+
+
+@dataclass(frozen=True)
+class Decision:
+    """Whether a stage (or a pass inside one) runs on a scene, and the reason in words."""
+
+    run: bool
+    reason: str
+    passes: Mapping[str, Decision] = field(default_factory=dict)
+
+    def as_json(self) -> dict[str, Any]:
+        """The form kept in `dataset.json`."""
+        out: dict[str, Any] = {"run": self.run, "reason": self.reason}
+        if self.passes:
+            out["passes"] = {name: decision.as_json() for name, decision in self.passes.items()}
+        return out
+
+
+def no_files(capture: Capture) -> Iterable[Path]:
+    """For a stage that reads nothing of the capture itself."""
+    return ()
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One stage of the pipeline.
+
+    `version` grows whenever the meaning of its output changes. `needs` are upstream stages, read where the plan runs
+    them. `capture_files` are the capture's files that it reads itself, and `config` the `capture.toml` sections that
+    it heeds: both enter its key. `environments` says that it reads the maps to relight under, `device` that it runs on
+    the device that a call names (every other stage runs on the processor and loads nothing to find out).
+    """
+
+    name: str
+    version: int
+    parameters: type
+    needs: tuple[str, ...]
+    needed: Callable[[Capture, Any], Decision]
+    run: Callable[[StageRun], None]
+    capture_files: Callable[[Capture], Iterable[Path]] = no_files
+    config: tuple[str, ...] = ()
+    environments: bool = False
+    device: bool = False
+
+
+@dataclass
+class StageRun:
+    """What a stage's `run` is given.
+
+    `inputs` are the published folders of the upstream stages that ran, `output` the folder to fill (it appears under
+    its key when `run` returns), `scratch` a folder that outlives a kill, for checkpoints of this very key.
+    """
+
+    capture: Capture
+    parameters: Any
+    inputs: Mapping[str, Path]
+    output: Path
+    scratch: Path
+    device: str = "cpu"
+    environments: tuple[Path, ...] = ()
+    progress: Progress = field(default_factory=Progress)
+    jobs: int = 1
+    warnings: list[str] = field(default_factory=list)
+    facts: dict[str, Any] = field(default_factory=dict)
+
+    def warn(self, text: str) -> None:
+        """Tell the user of something that does not stop the work; kept in the manifest."""
+        self.warnings.append(text)
+        self.progress.say(f"warning: {text}")
+
+    def note(self, key: str, value: Any) -> None:
+        """Keep a JSON-able fact of this run in the manifest (such as a pass that was left out, and why)."""
+        self.facts[key] = value
+
+
+def parameters_from(stage: Stage, overrides: Mapping[str, Any], source: str) -> Any:
+    """The stage's parameters with `overrides` (strings or TOML values) applied. Raises UserError naming the key."""
+    types_by_name = typing.get_type_hints(stage.parameters)
+    known = [f.name for f in dataclasses.fields(stage.parameters)]
+    values = {}
+    for key, value in overrides.items():
+        name = key.replace("-", "_")
+        if name not in known:
+            raise UserError(source, f"{stage.name} has no parameter {key!r}", nearest(key, known))
+        values[name] = _convert(value, types_by_name[name], f"{stage.name}.{key}", source)
+    try:
+        return stage.parameters(**values)
+    except ValueError as error:
+        raise UserError(source, f"{stage.name}: {error}", "choose another value") from error
+
+
+def _convert(value: Any, kind: Any, key: str, source: str) -> Any:
+    origin, arguments = typing.get_origin(kind), typing.get_args(kind)
+    if origin is typing.Literal:
+        if str(value) not in map(str, arguments):
+            raise UserError(source, f"{key} = {value!r} is unknown", nearest(str(value), map(str, arguments)))
+        return next(a for a in arguments if str(a) == str(value))
+    if origin in (types.UnionType, typing.Union):
+        if value is None or str(value).lower() in ("none", ""):
+            return None
+        return _convert(value, next(a for a in arguments if a is not type(None)), key, source)
+    if origin is tuple:
+        parts = value if isinstance(value, list | tuple) else str(value).replace(",", " ").split()
+        return tuple(_convert(p, arguments[0], key, source) for p in parts)
+    if kind is bool:
+        text = str(value).lower()
+        if text not in ("true", "false", "1", "0", "yes", "no", "on", "off"):
+            raise UserError(source, f"{key} = {value!r} is not true or false", "write true or false")
+        return text in ("true", "1", "yes", "on")
+    try:
+        if kind is int and float(value) != int(float(value)):
+            raise ValueError
+        return int(float(value)) if kind is int else kind(value)
+    except (TypeError, ValueError) as error:
+        raise UserError(source, f"{key} = {value!r} is not {_article(kind)}", "mend the value") from error
+
+
+def _article(kind: Any) -> str:
+    return {int: "a whole number", float: "a number"}.get(kind, f"a {getattr(kind, '__name__', kind)}")

@@ -1,0 +1,166 @@
+"""Reading a COLMAP model, text or binary, without pycolmap (which takes a second to import)."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.errors import UserError
+from pipeline.geometry.cameras import Camera
+
+# COLMAP's models by id: name and number of parameters (colmap/src/colmap/sensor/models.h).
+MODELS = {
+    0: ("SIMPLE_PINHOLE", 3), 1: ("PINHOLE", 4), 2: ("SIMPLE_RADIAL", 4), 3: ("RADIAL", 5), 4: ("OPENCV", 8),
+    5: ("OPENCV_FISHEYE", 8), 6: ("FULL_OPENCV", 12), 7: ("FOV", 5), 8: ("SIMPLE_RADIAL_FISHEYE", 4),
+    9: ("RADIAL_FISHEYE", 5), 10: ("THIN_PRISM_FISHEYE", 12), 11: ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
+}  # fmt: skip
+FILES = ("cameras", "images", "points3D")
+PLACES = ("sparse/0", "sparse", "colmap/sparse/0", "colmap", "distorted/sparse/0", "")
+
+
+@dataclass(frozen=True)
+class ColmapModel:
+    """Image NAME -> camera, and the points [N, 3] with 8-bit colours [N, 3]."""
+
+    cameras: dict[str, Camera]
+    points: NDArray[np.float64]
+    colours: NDArray[np.uint8]
+
+
+def find_model(root: Path) -> Path | None:
+    """The folder below `root` that holds a COLMAP model, or None."""
+    for place in PLACES:
+        folder = root / place
+        if any(all((folder / f"{name}{suffix}").is_file() for name in FILES[:2]) for suffix in (".bin", ".txt")):
+            return folder
+    return None
+
+
+def model_files(folder: Path) -> tuple[Path, ...]:
+    """The model's files that are read: binary if complete, else text."""
+    suffix = ".bin" if all((folder / f"{name}.bin").is_file() for name in FILES[:2]) else ".txt"
+    return tuple(p for p in (folder / f"{name}{suffix}" for name in FILES) if p.is_file())
+
+
+def read_model(folder: Path) -> ColmapModel:
+    """Read a model folder. Raises UserError naming the file that is malformed or a lens model that is not understood."""
+    files = {p.stem: p for p in model_files(folder)}
+    binary = files["cameras"].suffix == ".bin"
+    at = files["cameras"]
+    try:
+        lenses = _cameras_bin(at.read_bytes()) if binary else _cameras_txt(at.read_text())
+        at = files["images"]
+        images = _images_bin(at.read_bytes()) if binary else _images_txt(at.read_text(encoding="utf-8"))
+        points, colours = np.zeros((0, 3)), np.zeros((0, 3), np.uint8)
+        if "points3D" in files:
+            at = files["points3D"]
+            points, colours = _points_bin(at.read_bytes()) if binary else _points_txt(at.read_text())
+        at = files["images"]
+        cameras = {}
+        for name, camera_id, matrix in images:
+            cameras[name] = _camera(*lenses[camera_id], matrix, files["cameras"])
+    except (struct.error, ValueError, IndexError, KeyError, UnicodeDecodeError) as error:
+        raise UserError(at, f"is not a COLMAP model ({type(error).__name__}: {error})", "export the model again") from None
+    if not cameras:
+        raise UserError(files["images"], "the COLMAP model has no registered image", "delete it to find the cameras anew")
+    return ColmapModel(cameras, points, colours)
+
+
+def _camera(model: str, width: int, height: int, p: list[float], matrix: NDArray[np.float64], path: Path) -> Camera:
+    if model == "SIMPLE_PINHOLE":
+        f, c, k = (p[0], p[0]), p[1:3], tuple[float, ...]()
+    elif model == "PINHOLE":
+        f, c, k = (p[0], p[1]), p[2:4], ()
+    elif model == "SIMPLE_RADIAL":
+        f, c, k = (p[0], p[0]), p[1:3], (p[3], 0.0, 0.0, 0.0)
+    elif model == "RADIAL":
+        f, c, k = (p[0], p[0]), p[1:3], (p[3], p[4], 0.0, 0.0)
+    elif model == "OPENCV" or (model == "FULL_OPENCV" and not any(p[8:])):
+        f, c, k = (p[0], p[1]), p[2:4], tuple(p[4:8])
+    else:
+        raise UserError(path, f"the lens model {model} is not supported", "undistort with `colmap image_undistorter` first")
+    return Camera(width, height, float(f[0]), float(f[1]), float(c[0]), float(c[1]), matrix, tuple(k) if any(k) else ())
+
+
+def pose_matrix(q: Iterable[float], t: Iterable[float]) -> NDArray[np.float64]:
+    """World-to-camera [4, 4] of COLMAP's quaternion (w, x, y, z) and translation."""
+    quaternion = np.array(list(q), float)
+    w, x, y, z = quaternion / np.linalg.norm(quaternion)
+    out = np.eye(4)
+    out[:3, :3] = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    out[:3, 3] = list(t)
+    return out
+
+
+def _lines(text: str) -> list[str]:
+    return [line for line in text.splitlines() if not line.startswith("#")]
+
+
+def _cameras_txt(text: str) -> dict[int, tuple[str, int, int, list[float]]]:
+    rows = [line.split() for line in _lines(text) if line.strip()]
+    return {int(r[0]): (r[1], int(r[2]), int(r[3]), [float(x) for x in r[4:]]) for r in rows}
+
+
+def _images_txt(text: str) -> list[tuple[str, int, NDArray[np.float64]]]:
+    # Two lines an image, the second (its 2D points) may be empty: blank lines count once the first image has begun.
+    lines = _lines(text)
+    while lines and not lines[0].strip():
+        lines.pop(0)
+    out = []
+    for line in lines[::2]:
+        if line.strip():
+            r = line.split(maxsplit=9)
+            out.append((r[9].strip(), int(r[8]), pose_matrix(map(float, r[1:5]), map(float, r[5:8]))))
+    return out
+
+
+def _points_txt(text: str) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
+    rows = [line.split()[:7] for line in _lines(text) if line.strip()]
+    if not rows:
+        return np.zeros((0, 3)), np.zeros((0, 3), np.uint8)
+    table = np.array([[float(x) for x in r[1:7]] for r in rows])
+    return table[:, :3], table[:, 3:6].astype(np.uint8)
+
+
+def _cameras_bin(data: bytes) -> dict[int, tuple[str, int, int, list[float]]]:
+    (n,), at, out = struct.unpack_from("<Q", data), 8, {}
+    for _ in range(n):
+        camera_id, model, width, height = struct.unpack_from("<IiQQ", data, at)
+        name, k = MODELS[model]
+        out[camera_id] = (name, width, height, list(struct.unpack_from(f"<{k}d", data, at + 24)))
+        at += 24 + 8 * k
+    return out
+
+
+def _images_bin(data: bytes) -> list[tuple[str, int, NDArray[np.float64]]]:
+    (n,), at, out = struct.unpack_from("<Q", data), 8, []
+    for _ in range(n):
+        numbers = struct.unpack_from("<I7dI", data, at)
+        at += 64
+        end = data.index(b"\0", at)
+        name = data[at:end].decode("utf-8")
+        (points,) = struct.unpack_from("<Q", data, end + 1)
+        at = end + 9 + 24 * points
+        if at > len(data):
+            raise ValueError("the file ends early")
+        out.append((name, numbers[8], pose_matrix(numbers[1:5], numbers[5:8])))
+    return out
+
+
+def _points_bin(data: bytes) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
+    (n,), at = struct.unpack_from("<Q", data), 8
+    points, colours = np.zeros((n, 3)), np.zeros((n, 3), np.uint8)
+    for i in range(n):
+        numbers = struct.unpack_from("<Q3d3BdQ", data, at)
+        points[i], colours[i] = numbers[1:4], numbers[4:7]
+        at += 51 + 8 * numbers[8]
+    return points, colours

@@ -1,0 +1,137 @@
+"""Kernels' machine code kept as object files, so that a process runs them without loading numba.
+
+To import numba, its types and one cached kernel takes half a second of processor time. A kernel that takes numbers and
+pointers, allocates nothing and raises nothing needs none of that: llvmlite puts its object file into memory and ctypes calls
+it, which releases the interpreter's lock meanwhile.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+import importlib.util
+import os
+import tempfile
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from pipeline.kernels.cache import folder, sources
+
+Kernel = Callable[..., None]
+KINDS = {"int64": ctypes.c_int64, "pointer": ctypes.c_void_p}
+UNREACHED = ("NRT_MemInfo_call_dtor",)
+"""Of numba's runtime: what frees an array, which kernels without arrays of their own name and never reach."""
+UNRELATED = ("NUMBA_CACHE_DIR", "NUMBA_NUM_THREADS", "NUMBA_THREADING_LAYER")
+"""Settings of numba that leave machine code as it is."""
+_loaded: dict[str, tuple[Kernel, Any]] = {}
+_loading = threading.Lock()
+
+
+def kernel(name: str, arguments: tuple[str, ...], build: Callable[[], tuple[str, bytes]]) -> Kernel:
+    """The kernel `name` of `arguments` ("int64" or "pointer"), from its object file if there is one, else from `build`.
+
+    build: compiles it and returns its symbol and object file (`machine_code`).
+    """
+    with _loading:  # cameras' readers ask at once
+        if name not in _loaded:
+            place = _place(name)
+            found = _read(place) if place is not None else None
+            if found is None:
+                found = build()
+                if place is not None:
+                    _keep(place, *found)
+            _loaded[name] = _linked(*found, arguments)
+        return _loaded[name][0]
+
+
+def compiled(name: str) -> bool:
+    """Whether a kernel was compiled before."""
+    place = _place(name)
+    return name in _loaded or (place is not None and place.is_file())
+
+
+def machine_code(function: Callable[..., None], arguments: tuple[Any, ...]) -> tuple[str, bytes]:
+    """`function` compiled for numba types `arguments`: its symbol, and its object file."""
+    from numba.core import compiler, registry, types
+
+    flags: Any = compiler.Flags()
+    flags.no_cpython_wrapper = flags.no_cfunc_wrapper = flags.nrt = True
+    flags.error_model = "numpy"
+    typing, target = registry.cpu_target.typing_context, registry.cpu_target.target_context
+    found = compiler.compile_extra(typing, target, function, arguments, types.none, flags, locals={})
+    symbol = found.fndesc.llvm_func_name
+    process = ctypes.CDLL(None)
+    foreign = {f.name for f in found.library._final_module.functions if f.is_declaration and not f.name.startswith("llvm.")}
+    if missing := [name for name in sorted(foreign.difference(UNREACHED)) if not hasattr(process, name)]:
+        raise TypeError(f"{symbol} needs numba's runtime: {', '.join(missing)}")
+    found.library.get_pointer_to_function(symbol)  # until it is asked for, nothing is compiled
+    return symbol, bytes(found.library._get_compiled_object())
+
+
+def _place(name: str) -> Path | None:
+    """Where the object file for these sources, this numba and this processor is kept; None where nothing can be."""
+    import llvmlite
+    import llvmlite.binding as llvm
+
+    set_by_user = os.environ.get("NUMBA_CACHE_DIR")
+    root = Path(set_by_user) if set_by_user else folder()
+    numba = importlib.util.find_spec("numba")  # finds it without importing it
+    if root is None or numba is None or numba.origin is None:
+        return None
+    options = sorted(f"{k}={v}" for k, v in os.environ.items() if k.startswith("NUMBA_") and k not in UNRELATED)
+    version = Path(numba.origin).with_name("_version.py").read_bytes()
+    parts = (llvmlite.__version__, llvm.get_process_triple(), llvm.get_host_cpu_name(), *options, sources())
+    digest = hashlib.sha256(version + "\0".join(parts).encode())
+    digest.update(llvm.get_host_cpu_features().flatten().encode())
+    return root / f"{name}-{digest.hexdigest()[:12]}.o"
+
+
+def _read(place: Path) -> tuple[str, bytes] | None:
+    """Symbol and object file, None where there is no whole one."""
+    try:
+        symbol, digest, code = place.read_bytes().split(b"\n", 2)
+    except (OSError, ValueError):
+        return None
+    return (symbol.decode(), code) if hashlib.sha256(code).hexdigest().encode() == digest else None
+
+
+def _keep(place: Path, symbol: str, code: bytes) -> None:
+    """Write the object file in one step, so that no other process reads half of one."""
+    try:
+        place.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=place.parent) as aside:
+            file = Path(aside) / place.name  # with the permissions of the user's umask, unlike a temporary file
+            file.write_bytes(b"\n".join((symbol.encode(), hashlib.sha256(code).hexdigest().encode(), code)))
+            os.replace(file, place)
+    except OSError:
+        return  # it is compiled again next time
+
+
+def _linked(symbol: str, code: bytes, arguments: tuple[str, ...]) -> tuple[Kernel, Any]:
+    """The function of an object file, and what keeps its memory; numba's calling convention for a function without result."""
+    import llvmlite.binding as llvm
+
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+    unreached = ctypes.cast(ctypes.CDLL(None).abort, ctypes.c_void_p).value
+    for name in UNREACHED:
+        if llvm.address_of_symbol(name) is None:
+            llvm.add_symbol(name, unreached)
+    target = llvm.Target.from_triple(llvm.get_process_triple())
+    reloc = "static" if target.name.startswith("x86") else "default"  # as numba compiles for the machine it runs on
+    machine = target.create_target_machine(opt=3, reloc=reloc, codemodel="jitdefault", jit=True)
+    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
+    engine.add_object_file(llvm.ObjectFileRef.from_data(code))
+    engine.finalize_object()
+    function = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, ctypes.c_void_p, *(KINDS[kind] for kind in arguments))
+    entry = function(engine.get_function_address(symbol))
+
+    def call(*values: int) -> None:
+        result, fault = ctypes.c_void_p(), ctypes.c_void_p()
+        status = entry(ctypes.addressof(result), ctypes.addressof(fault), *values)
+        if status:
+            raise RuntimeError(f"{symbol} failed ({status})")
+
+    return call, engine

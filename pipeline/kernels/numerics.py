@@ -1,0 +1,134 @@
+"""Small numba building blocks of the per-pixel fits: an exponential that vectorises, order statistics, tiny solvers.
+
+Loops over lights run in the arrays' own precision (float32 by default, float64 on request); sums that end in a solve
+are handed to float64 scalars. Constants in the loops are float32 so that they do not widen a float32 loop.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit, types
+from numba.extending import overload
+
+from pipeline.kernels.cache import keep_fresh
+
+keep_fresh()
+
+FAST = {"reassoc", "contract", "arcp", "nsz", "afn"}
+"""Reassociated sums (SIMD) and reciprocals, but NaN and Inf keep their meaning."""
+
+ZERO, ONE, TWO, HALF, FOUR = (np.float32(v) for v in (0.0, 1.0, 2.0, 0.5, 4.0))
+LARGEST = np.float32(1e30)  # of a sample: the squares of larger ones would overflow
+TINY = np.float32(1e-30)  # keeps 0/0 at 0 where both are exact zeros; far below any sample, above float32's denormals
+
+_LOG2E = np.float32(1.4426950408889634)
+_EXP_FLOOR = np.float32(-87.0)  # exp(-87) is the last normal float32; a lobe there is 0 to any sample
+_C = [np.float32(c) for c in np.polynomial.chebyshev.Chebyshev.interpolate(np.exp2, 6, domain=[0, 1])
+      .convert(kind=np.polynomial.Polynomial).coef]  # fmt: skip
+_C0, _C1, _C2, _C3, _C4, _C5, _C6 = _C
+_BIAS, _SHIFT = np.int32(127), np.int32(23)
+
+
+def exp(x):
+    """exp(x) for x <= 0: in float32 within 1.5e-7 relative and vectorised; in float64 the library's."""
+    return math.exp(x)
+
+
+@overload(exp, inline="always")
+def _exp(x):
+    if x == types.float32:
+
+        def exp32(x):
+            t = max(x, _EXP_FLOOR) * _LOG2E
+            whole = np.floor(t)
+            f = t - whole
+            p = _C0 + f * (_C1 + f * (_C2 + f * (_C3 + f * (_C4 + f * (_C5 + f * _C6)))))
+            bits = (np.int32(whole) + _BIAS) << _SHIFT  # the float32 whose value is 2**whole
+            return p * np.int32(bits).view(np.float32)
+
+        return exp32
+    return lambda x: math.exp(x)
+
+
+@njit(cache=True, error_model="numpy")
+def copy1(source, target):
+    """target[:] = source, without the error message that numba would compile for it (seconds of compile time)."""
+    for k in range(target.size):
+        target[k] = source[k]
+
+
+@njit(cache=True, error_model="numpy")
+def copy2(source, target):
+    """The same for matrices."""
+    for j in range(target.shape[0]):
+        for k in range(target.shape[1]):
+            target[j, k] = source[j, k]
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def _count_from(values, level):
+    n = np.int32(0)
+    for k in range(values.size):
+        n += np.int32(1) if values[k] >= level else np.int32(0)
+    return n
+
+
+@njit(cache=True, error_model="numpy")
+def kth_largest(values, k):
+    """The k-th largest (from 0) of `values`, to 2.5e-4 of itself; 0 where it is not above 0.
+
+    Bisection of the bits of a positive float32, whose order is the floats': passes that count vectorise, a quickselect's
+    branches are guessed wrong every other time.
+    """
+    low, high = np.int32(0), np.int32(0x7F7FFFFF)  # 0 and the largest float32
+    while high - low > np.int32(1 << 11):
+        middle = np.int32(low + ((high - low) >> np.int32(1)))
+        if _count_from(values, middle.view(np.float32)) > k:
+            low = middle
+        else:
+            high = middle
+    return np.int32(low).view(np.float32)
+
+
+@njit(cache=True, error_model="numpy")
+def solve3(a, b, c, d, e, f, x, y, z):
+    """Solve [[a b c] [b d e] [c e f]] s = (x, y, z) in float64. Returns s and whether the matrix is well away from singular."""
+    c00, c01, c02 = d * f - e * e, c * e - b * f, b * e - c * d
+    det = a * c00 + b * c01 + c * c02
+    size = (a + d + f) / 3.0
+    if not det > 1e-7 * size * size * size:  # lights within about 0.05 rad of one plane
+        return 0.0, 0.0, 0.0, False
+    c11, c12, c22 = a * f - c * c, b * c - a * e, a * d - b * b
+    r = 1.0 / det
+    return (c00 * x + c01 * y + c02 * z) * r, (c01 * x + c11 * y + c12 * z) * r, (c02 * x + c12 * y + c22 * z) * r, True
+
+
+@njit(cache=True, error_model="numpy")
+def cholesky_solve(matrix, rhs, n, out):
+    """Solve the n x n positive definite system in place (lower factor left in `matrix`). False where it is not definite."""
+    for j in range(n):
+        s = matrix[j, j]
+        for k in range(j):
+            s -= matrix[j, k] * matrix[j, k]
+        if not s > 0.0:
+            return False
+        root = math.sqrt(s)
+        matrix[j, j] = root
+        for i in range(j + 1, n):
+            t = matrix[i, j]
+            for k in range(j):
+                t -= matrix[i, k] * matrix[j, k]
+            matrix[i, j] = t / root
+    for i in range(n):
+        t = rhs[i]
+        for k in range(i):
+            t -= matrix[i, k] * out[k]
+        out[i] = t / matrix[i, i]
+    for i in range(n - 1, -1, -1):
+        t = out[i]
+        for k in range(i + 1, n):
+            t -= matrix[k, i] * out[k]
+        out[i] = t / matrix[i, i]
+    return True

@@ -1,0 +1,136 @@
+"""A light stage's object under an environment map: summed from its frames, or rendered from its fitted maps.
+
+The sum of one-light-at-a-time frames (PRF section 5) is the reference: it holds every shadow and inter-reflection, at the
+light stage's angular resolution. The maps' rendering is what a renderer gets from the fitted reflectance.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.formats.images import read_image
+from pipeline.geometry.cameras import Camera
+from pipeline.rig.latlong_lights import as_lights, irradiance_per_light
+
+RGB = ("R", "G", "B")
+READERS = 2
+MAP_LIGHTS = 2000  # cells of 4.5 degrees; a lobe narrower than its cell is widened by it
+
+
+def relight_olat(
+    olat_index: Mapping[str, Any] | Path,
+    capture_root: Path,
+    camera: str,
+    env_latlong: NDArray,
+    mask: NDArray[np.bool_] | None = None,
+    *,
+    irradiance: float = np.pi,
+    specular_factor: float = 2.0,
+    up: str = "y",
+) -> NDArray[np.float32]:
+    """The object under a map, as the sum of its frames weighted by the light in each light's cell: float32 [H, W, 3].
+
+    olat_index: decode's `olat.json` (its path or content); camera: "camNN"; env_latlong [h, w, 3] linear; mask [H, W]: black
+    outside; irradiance, specular_factor: `capture.config.olat`; up: `capture.up`. Frames are read one after another.
+    Raises UserError naming a frame that cannot be read.
+    """
+    index = json.loads(Path(olat_index).read_text()) if isinstance(olat_index, str | Path) else olat_index
+    entry = index["cameras"][camera]
+    lights = index["lights"]
+    weights = irradiance_per_light(env_latlong, np.array(lights["directions"]), up)
+    weights /= irradiance * np.array(lights["intensity"])[:, None]
+    root = Path(capture_root)
+    out = np.zeros((int(entry["height"]), int(entry["width"]), 3))
+
+    def both(pair: tuple[str, str]) -> tuple[NDArray, NDArray]:
+        return _frame(root / pair[0]), _frame(root / pair[1])
+
+    pairs = list(zip(entry["cross"], entry["parallel"]))
+    with ThreadPoolExecutor(READERS) as pool:
+        for start in range(0, len(pairs), 2 * READERS):  # a bound on the frames in memory
+            block = pairs[start : start + 2 * READERS]
+            for k, (cross, parallel) in enumerate(pool.map(both, block), start):
+                total = (2.0 - specular_factor) * cross + specular_factor * parallel  # I_d + I_s
+                out += total * weights[k]
+    if mask is not None:
+        out *= mask[..., None]
+    return np.maximum(out, 0.0).astype(np.float32)
+
+
+def _frame(path: Path) -> NDArray[np.float32]:
+    pixels = read_image(path)
+    pixels = read_image(path, RGB) if pixels.shape[2] >= 3 else np.repeat(pixels[..., :1], 3, -1)
+    return np.nan_to_num(pixels, posinf=0.0, neginf=0.0)
+
+
+def relight_maps(
+    maps_folder: Path,
+    camera: Camera,
+    env_latlong: NDArray,
+    *,
+    up: str = "y",
+    occlusion: bool = True,
+    count: int = MAP_LIGHTS,
+) -> NDArray[np.float32]:
+    """The object under a map, rendered from the fitted maps: float32 [H, W, 3], black outside the object.
+
+    maps_folder: `olat/current/camNN`; camera: that camera; env_latlong [h, w, 3] linear; occlusion: multiply diffuse and
+    specular light by their occlusion maps (the frames' sum has their shadows). The map's light is gathered into `count` cells.
+    """
+    directions, light, spacing = as_lights(env_latlong, count, up)
+    return render_maps(maps_folder, camera, directions, light, spacing, occlusion)
+
+
+def render_maps(
+    maps_folder: Path,
+    camera: Camera,
+    directions: NDArray[np.float64],
+    light: NDArray[np.float64],
+    spacing: float = 0.0,
+    occlusion: bool = True,
+) -> NDArray[np.float32]:
+    """The fitted maps under distant lights: directions [M, 3] (unit, world) of irradiance light [M, 3]; float32 [H, W, 3].
+
+    spacing (rad): angle that each light stands for; lobes narrower than it are widened to it.
+    """
+    from pipeline.rig.lobe_names import LOBES
+    from pipeline.rig.map_rendering import render_pixels
+
+    folder = Path(maps_folder)
+    facts = folder.parent / "maps.json"
+    lobe = LOBES[json.loads(facts.read_text())["lobe"]] if facts.is_file() else LOBES["ward"]
+
+    def load(name: str, channels: tuple[str, ...]) -> NDArray[np.float32]:
+        return read_image(folder / f"{name}.exr", channels)
+
+    xyz = ("X", "Y", "Z")
+    normal_d, normal_s, tangent = (load(name, xyz) for name in ("diffuse_normal", "specular_normal", "tangent"))
+    albedo_d, albedo_s = load("diffuse_albedo", RGB), load("specular_albedo", ("Y",))[..., 0]
+    sigma = load("sigma", ("X", "Y"))
+    inside = np.linalg.norm(normal_d, axis=-1) > 0.5
+    view = -camera.rays()[inside]
+    shade_d, shade_s = np.ones(len(view)), np.ones(len(view))
+    if occlusion:
+        shade_d, shade_s = (load(name, ("Y",))[..., 0][inside].astype(float) for name in ("occlusion_d", "occlusion_s"))
+    rows = render_pixels(
+        lobe, view, normal_d[inside].astype(float), normal_s[inside].astype(float), tangent[inside].astype(float),
+        sigma[inside].astype(float), albedo_s[inside] * shade_s, np.ascontiguousarray(directions, float),
+        np.ascontiguousarray(light, float), 0.5 * spacing,
+    )  # fmt: skip
+    out = np.zeros((*inside.shape, 3), np.float32)
+    out[inside] = albedo_d[inside] * rows[:, 0] * shade_d[:, None] / np.pi + rows[:, 1]
+    return out
+
+
+def relighting_error(sum_of_frames: NDArray, from_maps: NDArray, mask: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Per-pixel error [H, W] of a rendering with the maps: RMS over RGB, relative to the mean of the sum inside the mask."""
+    level = float(np.mean(sum_of_frames[mask])) if mask.any() else 0.0
+    error = np.sqrt(np.mean((np.asarray(from_maps, float) - sum_of_frames) ** 2, -1)) * mask
+    return (error / level if level > 0 else error).astype(np.float32)

@@ -1,0 +1,203 @@
+"""Deferred shading of a polarising dielectric: albedo, roughness, IoR and normal to Stokes vectors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+
+from pipeline.optics import fresnel as optics
+from pipeline.optics.stokes import surface_pattern
+
+from . import limits, splitsum
+from . import prefilter_kernels as kernels
+from .prefilter import LightField
+
+FRESNELS = ("exact", "schlick")
+# Rings x azimuths of facets by name; None is the split sum. See `lobe`.
+MIRRORS: dict[str, tuple[int, int] | None] = {
+    "split": None, "lobe-4": (1, 4), "lobe-12": (2, 6), "lobe-24": (3, 8), "lobe-48": (4, 12)
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Shaded:
+    """Radiance leaving P points towards the camera, linear RGB.
+
+    stokes [P, 3 (s0, s1, s2), 3 (rgb)]; diffuse + specular = s0, both [P, 3].
+    """
+
+    stokes: torch.Tensor
+    diffuse: torch.Tensor
+    specular: torch.Tensor
+
+
+@dataclass(frozen=True)
+class Occlusion:
+    """What the object itself takes from and adds to the light at P points; see `visibility` and `gridmap`.
+
+    irradiance' = shadow * irradiance + bounced, mirrored' = unblocked * mirrored + seen.
+    """
+
+    shadow: torch.Tensor  # [P, 3] share of the unoccluded irradiance that arrives
+    bounced: torch.Tensor  # [P, 3] irradiance from the object's own surface (radiance units times sr)
+    unblocked: torch.Tensor  # [P] share of the mirrored lobe that leaves the object
+    seen: torch.Tensor  # [P, 3] radiance of the object's own surface in the rest of it
+
+
+def shade(
+    normal: torch.Tensor,  # [P, 3] unit, world
+    view: torch.Tensor,  # [P, 3] unit, world, towards the camera
+    albedo: torch.Tensor,  # [P, 3] diffuse reflectance, linear RGB
+    roughness: torch.Tensor,  # [P] perceptual, alpha = r^2
+    ior: torch.Tensor,  # [P] eta >= 1
+    frame_x: torch.Tensor,  # [P, 3] the pixel's Stokes axes: unit, world, perpendicular to view; no gradient
+    frame_y: torch.Tensor,  # [P, 3]
+    light: LightField,
+    *,
+    occlusion: Occlusion | None = None,
+    fresnel: str = "exact",
+    mirror: str = "split",
+) -> Shaded:
+    """Stokes vectors of P points under a prefiltered environment; differentiable in all but the frame.
+
+    fresnel: "exact" transmits light into and out of the body (Baek et al.'s polarised plastic) and integrates
+    Fresnel's equations over the lobe; "schlick" is PhyGaP Eq. 20, (1 - F_schlick) albedo/pi E, with F0 tau0 + tau1.
+    mirror: "split" sum, or "lobe-4" to "lobe-48" facets (exact Fresnel only): see `lobe`; dearer and better,
+    above all at grazing view and under lamps.
+    Values outside `limits` are clamped, their gradient kept. float32 on the CPU runs a fused kernel ("exact" only).
+    """
+    if fresnel not in FRESNELS:
+        raise ValueError(f"fresnel {fresnel!r}: must be one of {', '.join(FRESNELS)}")
+    if mirror not in MIRRORS or (mirror != "split" and fresnel != "exact"):
+        raise ValueError(f"mirror {mirror!r}: must be one of {', '.join(MIRRORS)}, and split with Schlick")
+    arguments = (normal, view, albedo, roughness, ior, frame_x, frame_y)
+    fast = fresnel == "exact" and all(x.device.type == "cpu" and x.dtype == torch.float32 for x in (*arguments, light.packed))
+    if not fast:
+        return plain(*arguments, light, occlusion=occlusion, fresnel=fresnel, mirror=mirror)
+    blocked = (None,) * 4 if occlusion is None else (
+        occlusion.shadow, occlusion.bounced, occlusion.unblocked, occlusion.seen
+    )  # fmt: skip
+    given: tuple[torch.Tensor | None, ...] = (None, None)
+    if mirror != "split":
+        from .lobe import mirrored
+
+        given = mirrored(normal, view, roughness, ior, frame_x, frame_y, light, mirror)
+    return Shaded(*_Fused.apply(light, *arguments, light.packed, *blocked, *given))
+
+
+def plain(
+    normal: torch.Tensor,
+    view: torch.Tensor,
+    albedo: torch.Tensor,
+    roughness: torch.Tensor,
+    ior: torch.Tensor,
+    frame_x: torch.Tensor,
+    frame_y: torch.Tensor,
+    light: LightField,
+    *,
+    occlusion: Occlusion | None = None,
+    fresnel: str = "exact",
+    mirror: str = "split",
+) -> Shaded:
+    """`shade` in readable torch, any float type and device: the definition."""
+    roughness = clamp_keeping_gradient(roughness, limits.MIN_ROUGHNESS, limits.MAX_ROUGHNESS)
+    eta = clamp_keeping_gradient(ior, limits.MIN_IOR, float("inf"))
+    facing = (normal * view).sum(-1)
+    cosine = clamp_keeping_gradient(facing, limits.MIN_COSINE, 1.0)
+
+    cos2, sin2 = surface_pattern(normal, frame_x, frame_y)
+    around = torch.stack((cos2, sin2), 1)[..., None]
+    received = light.irradiance(normal, transmitted=fresnel == "exact")
+    reflected, across = mirror_reflection(normal, cosine, roughness, eta, frame_x, frame_y, light.lobe, fresnel)
+    if mirror == "split":
+        mirrored = light.mirrored(2 * facing[:, None] * normal - view, roughness)
+        turned = across[:, None, None] * around * mirrored[:, None]
+    else:
+        from .lobe import plain as lobe
+
+        mirrored, turned = lobe(normal, view, roughness, eta, frame_x, frame_y, light, mirror)
+    if occlusion is not None:
+        received = occlusion.shadow * received + occlusion.bounced
+        mirrored = occlusion.unblocked[:, None] * mirrored + occlusion.seen
+        own = across[:, None, None] * around * occlusion.seen[:, None]
+        turned = occlusion.unblocked[:, None, None] * turned + own
+    diffuse = body_transmission(cosine, eta, fresnel)[:, None] * albedo * received
+    specular = reflected[:, None] * mirrored
+    body = optics.diffuse_polarisation(cosine, eta)[:, None, None] * around * diffuse[:, None]
+    stokes = torch.cat(((diffuse + specular)[:, None], body - reflected[:, None, None] * turned), dim=1)
+    return Shaded(stokes, diffuse, specular)
+
+
+def body_transmission(cosine: torch.Tensor, eta: torch.Tensor, fresnel: str) -> torch.Tensor:
+    """L_d / (albedo x received light) [P]: out of the body, and in relative to the level's IoR (physics.md 3)."""
+    if fresnel == "schlick":
+        return (1 - optics.schlick(cosine, eta)) / torch.pi
+    reference = torch.tensor(kernels.REFERENCE_IOR, dtype=eta.dtype, device=eta.device)
+    entering = optics.hemispherical_transmittance(eta) / optics.hemispherical_transmittance(reference)
+    return optics.transmittance(cosine, eta) * entering / torch.pi
+
+
+def mirror_reflection(
+    normal: torch.Tensor,
+    cosine: torch.Tensor,
+    roughness: torch.Tensor,
+    eta: torch.Tensor,
+    frame_x: torch.Tensor,
+    frame_y: torch.Tensor,
+    lobe: str,
+    fresnel: str,
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """(albedo of the rough mirror [P], its polarisation over sin^2 [P]): see `splitsum`."""
+    where = (roughness * (splitsum.ROUGHNESS_NODES - 1), cosine.sqrt() * (splitsum.COSINE_NODES - 1))
+    table = splitsum.exact_table if fresnel == "exact" else splitsum.schlick_table
+    values = torch.as_tensor(table(lobe), dtype=cosine.dtype, device=cosine.device)
+    if fresnel == "schlick":
+        tau0, tau1 = splitsum.lookup(values, where).unbind(-1)
+        squared_sine = (normal * frame_x).sum(-1) ** 2 + (normal * frame_y).sum(-1) ** 2
+        across = optics.specular_polarisation(cosine, squared_sine, eta)
+        return optics.normal_reflectance(eta) * tau0 + tau1, across
+    low, high = splitsum.IOR_RANGE
+    index = (eta - low) * ((splitsum.IOR_NODES - 1) / (high - low))
+    rho, across = splitsum.lookup(values, (index, *where)).unbind(-1)
+    return optics.reflectance(cosine, eta) * rho, across
+
+
+def clamp_keeping_gradient(x: torch.Tensor, low: float, high: float) -> torch.Tensor:
+    """x limited to [low, high]; the gradient passes as if it were not, so that a value outside finds back."""
+    return x + (x.clamp(low, high) - x).detach()
+
+
+class _Fused(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, light: LightField, *tensors: torch.Tensor | None) -> tuple[torch.Tensor, ...]:
+        from . import shade_kernels as fused
+
+        inputs = [torch.empty(0) if x is None else x.detach().contiguous() for x in tensors]
+        # Absent occlusion and lobe: empty arrays of the right rank.
+        if tensors[8] is None:
+            inputs[8:12] = [torch.empty(0, 3), torch.empty(0, 3), torch.empty(0), torch.empty(0, 3)]
+        if tensors[12] is None:
+            inputs[12:] = [torch.empty(0, 3), torch.empty(0, 2, 3)]
+        ctx.arrays, ctx.light, ctx.given = [x.numpy() for x in inputs], light, [x is not None for x in tensors]
+        points = len(ctx.arrays[0])
+        out = (torch.empty(points, 3, 3), torch.empty(points, 3), torch.empty(points, 3))
+        kernel: Any = fused.forward
+        kernel(*ctx.arrays[:8], *light.tables(), *ctx.arrays[8:], *(x.numpy() for x in out))
+        return out
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
+        from . import shade_kernels as fused
+
+        a = ctx.arrays
+        tables = torch.zeros(fused.chunks(len(a[0])), *a[7].shape)
+        new = [torch.empty(x.shape) for x in (*a[:5], *a[8:])]
+        kernel: Any = fused.backward
+        kernel(
+            *a[:8], *ctx.light.tables(), *a[8:], *(g.contiguous().numpy() for g in gradients),
+            *(x.numpy() for x in new[:5]), tables.numpy(), *(x.numpy() for x in new[5:]),
+        )  # fmt: skip
+        optional = [x if given else None for x, given in zip(new[5:], ctx.given[8:])]
+        return (None, *new[:5], None, None, tables.sum(0), *optional)

@@ -1,0 +1,1 @@
+"""Reflectance maps: corrected for the pixel's footprint, and written."""

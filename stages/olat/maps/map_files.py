@@ -1,0 +1,89 @@
+"""Maps written scanline by scanline as the bands are fitted, so that memory does not grow with the image."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.formats.images import write_fault
+from stages.olat.pixel_fit.result_layout import MAPS, columns
+from stages.olat.reading.scanline_bands import Band
+
+COARSE = ("occlusion_d", "occlusion_s", "visibility_d", "visibility_s", "interreflection_d", "interreflection_s")
+"""Maps that half floats hold well; the others are float32."""
+PREVIEW = 480  # pixels of a preview's longer side
+
+
+class MapWriter:
+    """Open EXR files of one camera's maps; rows are written from the top down, 0 where nothing was fitted."""
+
+    def __init__(self, folder: Path, width: int, height: int) -> None:
+        """Create the folder and the files. Raises UserError when the target cannot be written."""
+        import OpenImageIO as oiio
+
+        self.folder, self.width, self.height, self.row = folder, width, height, 0
+        folder.mkdir(parents=True, exist_ok=True)
+        self.files = {}
+        for name, channels in MAPS.items():
+            kind = "half" if name in COARSE else "float"
+            spec = oiio.ImageSpec(width, height, len(channels), kind)
+            spec.channelnames = channels
+            spec.attribute("compression", "zip")
+            spec.attribute("DateTime", "2000:01:01 00:00:00")  # otherwise the clock would change the bytes
+            path = folder / f"{name}.exr"
+            out = oiio.ImageOutput.create(str(path))
+            if out is None or not out.open(str(path), spec):
+                raise write_fault(path, (out.geterror() if out is not None else oiio.geterror()).strip())
+            self.files[name] = out
+        self.pool = ThreadPoolExecutor(2)  # OpenImageIO compresses outside the interpreter's lock
+        self.step = max(1, -(-max(width, height) // PREVIEW))
+        self.preview = np.zeros((-(-height // self.step), -(-width // self.step), sum(map(len, MAPS.values()))), np.float32)
+
+    def write(self, band: Band, rows: NDArray[np.float64]) -> None:
+        """Write a band's results [P, WIDTH], and the empty rows above it."""
+        self._skip_to(band.top)
+        strip = np.zeros(((band.bottom - band.top) * self.width, rows.shape[1]), np.float32)
+        strip[band.pixels - band.top * self.width] = rows
+        self._rows(strip.reshape(band.bottom - band.top, self.width, -1))
+
+    def close(self) -> None:
+        """Write the empty rows at the bottom and finish the files."""
+        self._skip_to(self.height)
+        self.pool.shutdown()
+        for name, out in self.files.items():
+            if not out.close():
+                raise write_fault(self.folder / f"{name}.exr", out.geterror().strip())
+
+    def __enter__(self) -> MapWriter:
+        """The writer itself."""
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        """Finish the files unless something went wrong."""
+        if kind is None:
+            self.close()
+        self.pool.shutdown()
+
+    def _skip_to(self, row: int) -> None:
+        while self.row < row:
+            count = min(64, row - self.row)
+            self._rows(np.zeros((count, self.width, self.preview.shape[2]), np.float32))
+
+    def _rows(self, strip: NDArray[np.float32]) -> None:
+        top = self.row
+
+        def write(name: str, place: slice) -> None:
+            part = np.ascontiguousarray(strip[..., place])
+            if not self.files[name].write_scanlines(top, top + len(strip), 0, part):
+                raise write_fault(self.folder / f"{name}.exr", self.files[name].geterror().strip())
+
+        list(self.pool.map(write, *zip(*columns().items())))
+        self.row = top + len(strip)
+        first = -top % self.step
+        picked = strip[first :: self.step, :: self.step]
+        at = (top + first) // self.step
+        self.preview[at : at + len(picked)] = picked

@@ -1,0 +1,285 @@
+"""The whole chain for one pixel: separation, diffuse fit, visibility, specular fit, maps, fusion."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from pipeline.kernels.numerics import FAST, HALF, ONE, ZERO
+from pipeline.kernels.scratch import matrix, vector
+from pipeline.rig.lobes import values
+from stages.olat.pixel_fit.diffuse import fit_normal
+from stages.olat.pixel_fit.fit_options import CORRELATION, JOINT, ROUND
+from stages.olat.pixel_fit.light_visibility import behind, diffuse_maps, printed_maps, specular_maps
+from stages.olat.pixel_fit.lobe_fit import fit_lobe, linear_albedo, round_start
+from stages.olat.pixel_fit.paper_forms import (
+    correlation,
+    correlation_normal,
+    gradient_direction,
+    lambert,
+    remove_overexposure,
+    total,
+)
+from stages.olat.pixel_fit.result_layout import (
+    ALBEDO_D,
+    ALBEDO_S,
+    ANISOTROPY,
+    BAD_SAMPLES,
+    BLACK,
+    FLAG,
+    GOOD,
+    NO_LOBE,
+    NORMAL,
+    NORMAL_D,
+    NORMAL_S,
+    RESIDUAL,
+    ROUGHNESS,
+    SATURATED,
+    SIGMA,
+    TANGENT,
+    TOO_FEW,
+)
+from stages.olat.pixel_fit.separation import separate
+from stages.olat.pixel_fit.specular import LOBE_FRACTION, frame_about, half_vectors, start_normal, sums, widths
+
+BAD_SHARE = 0.1  # of a pixel's samples that may be not finite before the pixel is flagged
+NOISE_FLOOR = 1e-3  # of the brightest sample: half floats are this coarse
+FIXED = -1.0  # tie of a normal that is not to move
+UNKNOWN = 1e6  # variance (rad²) of a normal that was not measured
+ONE_WAY = 0.75  # order of a pixel's tangents below which it has no one tangent
+WIDEST = 2.2  # of a lobe: the width of one that fills the hemisphere (slopes beyond 65 degrees) is not told by the samples
+LIT_LIGHTS = 4  # three determine a normal and its albedo exactly; only a fourth can contradict them
+EFFECTIVE_LIGHTS = 3.0  # a lobe seen by fewer has no width
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def _albedo(rgb, wx, wy, wz, nx, ny, nz, weight, out):
+    """PRF Eq. 16: ratio of two dot products over the lights in use; `out` [3] is filled."""
+    r = g = b = den = ZERO * nx
+    for k in range(weight.size):
+        p = nx * wx[k] + ny * wy[k] + nz * wz[k]
+        w = weight[k] * p
+        r += w * rgb[0, k]
+        g += w * rgb[1, k]
+        b += w * rgb[2, k]
+        den += w * p
+    if den > ZERO:
+        out[0], out[1], out[2] = r / den, g / den, b / den
+    else:
+        out[0] = out[1] = out[2] = ZERO
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def _in_use(weight):
+    """Sum of the weights, and how many of them count."""
+    s = n = ZERO * weight[0]
+    for k in range(weight.size):
+        s += weight[k]
+        n += ONE if weight[k] > HALF * HALF else ZERO
+    return float(s), float(n)
+
+
+@njit(cache=True, error_model="numpy")
+def _gather(room, w, area, n_d, solved):
+    """Lights before the surface, packed: their directions, half vectors, samples and whether they are seen."""
+    n = 0
+    for k in range(room.diffuse.size):
+        p = n_d[0] * w[0, k] + n_d[1] * w[1, k] + n_d[2] * w[2, k]
+        if (p > 0 or not solved) and room.ok[k] > 0:
+            room.front[n] = k
+            n += 1
+    for j in range(n):
+        k = room.front[j]
+        room.light[j] = room.specular[k]
+        room.area[j] = area[k]
+        room.incident[0, j], room.incident[1, j], room.incident[2, j] = w[0, k], w[1, k], w[2, k]
+        room.bound[j] = room.floor[k]
+        room.seen[j] = room.use[k] if solved else ONE
+    return n
+
+
+@njit(cache=True, error_model="numpy")
+def fit_pixel(cross, parallel, w, o, area, energy, settings, room, out):
+    """Fill `out` [WIDTH] for one pixel from its samples cross, parallel [3, N] (N lights at directions w [3, N]).
+
+    o [3]: unit, to the camera; area [N]: solid angles (sr); energy [N]: relative irradiance of each light. `out[FLAG]` says how
+    far the row is to be trusted; it never holds anything that is not finite. Returns (specular gradient norm, passes).
+    """
+    kind = energy.dtype.type
+    for k in range(out.size):
+        out[k] = 0.0
+    count = energy.size
+    level = settings.saturation
+    if settings.remove and level < np.inf:
+        for c in range(3):
+            delta = kind(max(np.mean(parallel[c]), 0.0))
+            remove_overexposure(cross[c], level, room.front, delta)
+            remove_overexposure(parallel[c], level, room.front, delta)
+        level = np.inf
+    bad, clipped, top_d, top_s = separate(cross, parallel, energy, settings, kind(level), room)
+    flag = BAD_SAMPLES if bad > BAD_SHARE * count else GOOD
+    if not (top_d > 0 or top_s > 0):
+        out[FLAG] = SATURATED if clipped * 2 > count else (BLACK if flag == GOOD else flag)
+        for k in range(3):
+            out[NORMAL_D + k] = out[NORMAL_S + k] = out[NORMAL + k] = o[k]
+        return 0.0, 0
+
+    if settings.gradient:
+        _gradient(room, w, o, area, flag, out)
+        return 0.0, 0
+
+    # diffuse
+    mx, my, mz, scale, _, solved = fit_normal(
+        room.diffuse, room.ok, w[0], w[1], w[2], settings.rounds, settings.plain, room.weight, room.work
+    )
+    size = math.sqrt(mx * mx + my * my + mz * mz)
+    solved = solved and size > 0
+    n_d = (o[0], o[1], o[2])
+    square_d = data_d = 0.0
+    variance_d = UNKNOWN
+    if solved:
+        n_d = (mx / size, my / size, mz / size)
+        nx, ny, nz = kind(n_d[0]), kind(n_d[1]), kind(n_d[2])
+        _albedo(room.rgb, w[0], w[1], w[2], nx, ny, nz, room.weight, out[ALBEDO_D:])
+        for k in range(3):
+            out[ALBEDO_D + k] = max(out[ALBEDO_D + k], 0.0)
+        in_use, lit = _in_use(room.weight)
+        if lit < LIT_LIGHTS and flag == GOOD:
+            flag = TOO_FEW  # solved, but with nothing to spare
+        variance_d = (scale / size) ** 2 * 3.0 / max(in_use, 1.0)
+        zeta = 2 * behind(room.diffuse, room.ok, w[0], w[1], w[2], nx, ny, nz) + NOISE_FLOOR * top_d
+        square_d, data_d = diffuse_maps(room, w, area, n_d, size, zeta, out)
+        if settings.printed_maps:
+            printed_maps(room.diffuse, room, w, n_d, zeta, out, False)
+    elif flag == GOOD:
+        flag = SATURATED if clipped * 2 > count else TOO_FEW
+        x, y, z, found = gradient_direction(room.diffuse, room.ok, w, area)
+        if found:
+            n_d = (x, y, z)
+    for k in range(3):
+        out[NORMAL_D + k] = n_d[k]
+
+    # specular
+    n = _gather(room, w, area, n_d, solved)
+    norm, passes, variance_s, square_s, data_s = 0.0, 0, UNKNOWN, 0.0, 0.0
+    fitted = False
+    n_s = n_d
+    if n >= 3:
+        fitted, n_s, norm, passes, variance_s, square_s, data_s, lobe_flag = _specular(
+            n, w, o, area, settings, n_d, solved, top_d, room, out
+        )
+        flag = lobe_flag if flag == GOOD else flag
+    elif flag == GOOD:
+        flag = TOO_FEW
+    for k in range(3):
+        out[NORMAL_S + k] = n_s[k]
+    if not solved and fitted:
+        n_d = n_s
+        for k in range(3):
+            out[NORMAL_D + k] = n_s[k]
+
+    a, b = 1.0 / variance_d, 1.0 / variance_s
+    if settings.fuse_correlation and solved and fitted:
+        lambert(n_d, w, room.scratch)
+        a = correlation(room.scratch, room.diffuse, room.use)
+        b = correlation(room.lobe[:n], room.light[:n], room.seen[:n])
+    x, y, z = a * n_d[0] + b * n_s[0], a * n_d[1] + b * n_s[1], a * n_d[2] + b * n_s[2]
+    length = math.sqrt(x * x + y * y + z * z)
+    if length > 0:
+        out[NORMAL], out[NORMAL + 1], out[NORMAL + 2] = x / length, y / length, z / length
+    else:
+        out[NORMAL], out[NORMAL + 1], out[NORMAL + 2] = n_d[0], n_d[1], n_d[2]
+    data = data_d / (math.pi * math.pi) + data_s
+    out[RESIDUAL] = math.sqrt((square_d / (math.pi * math.pi) + square_s) / data) if data > 0 else 0.0
+    out[FLAG] = flag
+    for k in range(out.size):  # overflow of absurd samples: nothing that is not finite leaves this function
+        if not math.isfinite(out[k]):
+            out[k] = 0.0
+            out[FLAG] = BAD_SAMPLES
+    if out[FLAG] == BAD_SAMPLES:
+        for at in (NORMAL_D, NORMAL_S, NORMAL):
+            if out[at] == 0 and out[at + 1] == 0 and out[at + 2] == 0:
+                out[at], out[at + 1], out[at + 2] = o[0], o[1], o[2]
+    return norm, passes
+
+
+@njit(cache=True, error_model="numpy")
+def _gradient(room, w, o, area, flag, out):
+    """Ma et al. 2007: normals from the three gradients, albedos from the sums; no lobe, no refinement."""
+    x, y, z, found = gradient_direction(room.diffuse, room.ok, w, area)
+    n = (x, y, z) if found else (o[0], o[1], o[2])
+    x, y, z, shines = gradient_direction(room.specular, room.ok, w, area)
+    x, y, z = x + o[0], y + o[1], z + o[2]
+    size = math.sqrt(x * x + y * y + z * z)
+    m = (x / size, y / size, z / size) if shines and size > 1e-6 else n
+    for k in range(3):
+        out[NORMAL_D + k], out[NORMAL_S + k], out[NORMAL + k] = n[k], m[k], n[k]
+        out[ALBEDO_D + k] = max(total(room.rgb[k], room.ok, area) / math.pi, 0.0)
+    out[ALBEDO_S] = max(total(room.specular, room.ok, area), 0.0)
+    out[FLAG] = flag if found else TOO_FEW
+
+
+@njit(cache=True, error_model="numpy")
+def _specular(n, w, o, area, settings, n_d, solved, top_d, room, out):
+    """Specular part of a pixel: what can be fitted, the fit, its maps. See `fit_pixel`."""
+    kind = area.dtype.type
+    light, use, floor, areas = room.light[:n], room.seen[:n], room.bound[:n], room.area[:n]
+    cosine, weight, g = room.cosine[:n], room.work[:n], room.lobe[:n]
+    half = (room.half[0, :n], room.half[1, :n], room.half[2, :n])
+    incident = (room.incident[0, :n], room.incident[1, :n], room.incident[2, :n])
+    half_vectors(incident[0], incident[1], incident[2], kind(o[0]), kind(o[1]), kind(o[2]), half[0], half[1], half[2], cosine)
+    top, whole, squares, clipped, noise = sums(light, use, floor)
+    nothing = (False, n_d, 0.0, 0, UNKNOWN, 0.0, 0.0, NO_LOBE)
+    if not (top > 5 * noise and top > 1e-4 * top_d):
+        return nothing
+    x, y, z, samples = start_normal(light, use, LOBE_FRACTION * top, areas, half, cosine)
+    if samples == 0:
+        return nothing
+    if x * o[0] + y * o[1] + z * o[2] < 0.02 and solved:
+        x, y, z = n_d
+    frame, shape, rho = matrix(3, 3), vector(3), vector(1)
+    tie, tied = settings.prior, n_d
+    if settings.specular_fit == CORRELATION:
+        a, b, c, found = correlation_normal(light, use, incident, o, weight)
+        if found and a * o[0] + b * o[1] + c * o[2] > 0.02:
+            x, y, z = a, b, c
+    if settings.specular_fit != JOINT:
+        tie, tied, solved = FIXED, (x, y, z), False
+    frame_about(x, y, z, frame)
+    flag, norm, passes, order = GOOD, 0.0, 0, 1.0
+    if clipped > 0.5 * whole:
+        flag = SATURATED
+    if whole * whole < EFFECTIVE_LIGHTS * squares:  # too narrow for the rig, or all but hidden: half vectors, moments, no fit
+        flag = TOO_FEW if flag == GOOD else flag
+        if solved and clipped == 0 and samples < EFFECTIVE_LIGHTS:
+            frame_about(n_d[0], n_d[1], n_d[2], frame)
+        round_start(light, use, LOBE_FRACTION * top, areas, half, cosine, frame, shape)  # about the normal that is kept
+        values(settings.lobe, frame, shape, o, half, incident, g)
+        for j in range(n):
+            weight[j] = use[j]
+    else:
+        norm, passes, order = fit_lobe(settings, o, tied, tie, solved, half, incident, light, floor, use, areas, cosine, weight,
+                                       g, top, noise, frame, shape, rho, room)  # fmt: skip
+    rho[0] = linear_albedo(g, light, weight, floor) if order == 1.0 else rho[0]
+    large, small, angle = widths(shape)
+    if not (math.isfinite(large) and math.isfinite(small) and math.isfinite(rho[0]) and math.isfinite(frame[2, 0])):
+        return nothing
+    if large > WIDEST or not rho[0] > 0:
+        flag = NO_LOBE
+    out[ALBEDO_S] = rho[0]
+    out[SIGMA], out[SIGMA + 1] = large, small
+    out[ROUGHNESS] = (large * small) ** 0.25
+    out[ANISOTROPY] = (large - small) / (large + small)
+    if out[ANISOTROPY] > ROUND and order > ONE_WAY:
+        for k in range(3):
+            out[TANGENT + k] = math.cos(angle) * frame[0, k] + math.sin(angle) * frame[1, k]
+    n_s = (frame[2, 0], frame[2, 1], frame[2, 2])
+    zeta = 2 * noise + 0.01 * top
+    square, data = specular_maps(room, n, g, rho[0], zeta, area, w, n_s, out)
+    if settings.printed_maps:
+        printed_maps(room.specular, room, w, n_s, zeta, out, True)
+    in_lobe = max(whole * whole / squares, 1.0)
+    variance = (square / max(data, 1e-30) + 1e-6) * large * small / in_lobe + (1.0 if flag != GOOD else 0.0)
+    return True, n_s, norm, passes, variance, square, data, flag

@@ -1,0 +1,90 @@
+"""Diffuse and specular samples from the crossed and the parallel ones."""
+
+from __future__ import annotations
+
+import math
+
+from numba import njit
+
+from pipeline.kernels.numerics import FAST, LARGEST, ONE, ZERO
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def _finite(a, b, c, d, e, f, fine):
+    """`fine` [N]: 1 where all six samples are finite, else 0; returns how many are not."""
+    bad = ZERO
+    for k in range(fine.size):
+        whole = abs(a[k] + b[k] + c[k] + d[k] + e[k] + f[k]) < LARGEST  # false for NaN and Inf
+        fine[k] = ONE if whole else ZERO
+        bad += ZERO if whole else ONE
+    return bad
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def _clipped(a, b, c, level, out):
+    """`out` [N]: 1 where a channel reaches `level`, else 0."""
+    for k in range(out.size):
+        out[k] = ONE if max(a[k], b[k], c[k]) >= level else ZERO
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def _scaled(sample, fine, energy, scale, out):
+    for k in range(out.size):
+        v, e = sample[k], energy[k]
+        out[k] = scale * v / e if fine[k] > ZERO else ZERO
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def _mean(a, b, c, third, out):
+    top = ZERO * a[0]
+    for k in range(out.size):
+        v = (a[k] + b[k] + c[k]) * third
+        out[k] = v
+        top = max(top, v)
+    return top
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def _difference(a, b, c, crossed, fine, energy, scale, per_cross, out):
+    """Parallel less crossed samples; `crossed` is their mean in albedo units."""
+    top = ZERO * energy[0]
+    for k in range(out.size):
+        v = scale * (a[k] + b[k] + c[k]) / energy[k] - per_cross * crossed[k]
+        v = v if fine[k] > ZERO else ZERO
+        out[k] = v
+        top = max(top, v)
+    return top
+
+
+@njit(cache=True, fastmath=FAST, error_model="numpy")
+def _marks(fine, floor, ok):
+    """`ok` [N], where a crossed sample is clipped, becomes where it can be used; returns how many lights are clipped."""
+    clipped = ZERO * fine[0]
+    for k in range(ok.size):
+        x, p, f = ok[k], floor[k], fine[k]
+        clipped += max(x, p)
+        ok[k] = f * (ONE - x)
+    return clipped
+
+
+@njit(cache=True, error_model="numpy")
+def separate(cross, parallel, energy, settings, level, room):
+    """I_d = 2 I_x and I_s = f (I_p - I_x) per unit of irradiance; marks samples that are not finite or clipped.
+
+    cross, parallel [3, N]. Returns (samples that are bad, clipped, brightest diffuse, brightest specular). Many short loops,
+    each over few arrays: one long loop would not vectorise.
+    """
+    kind = energy.dtype.type
+    scale_d = kind(2.0 * math.pi / settings.irradiance)
+    scale_s = kind(settings.specular_factor / (3.0 * settings.irradiance))
+    per_cross = kind(settings.specular_factor / (2.0 * math.pi))
+    fine = room.scratch
+    bad = _finite(cross[0], cross[1], cross[2], parallel[0], parallel[1], parallel[2], fine)
+    _clipped(cross[0], cross[1], cross[2], level, room.ok)
+    _clipped(parallel[0], parallel[1], parallel[2], level, room.floor)
+    for c in range(3):
+        _scaled(cross[c], fine, energy, scale_d, room.rgb[c])
+    top_d = _mean(room.rgb[0], room.rgb[1], room.rgb[2], kind(1.0 / 3.0), room.diffuse)
+    top_s = _difference(parallel[0], parallel[1], parallel[2], room.diffuse, fine, energy, scale_s, per_cross, room.specular)
+    clipped = _marks(fine, room.floor, room.ok)
+    return int(bad), int(clipped), top_d, top_s

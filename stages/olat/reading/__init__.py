@@ -1,0 +1,1 @@
+"""Light-stage frames, band by band: which pixels, in which order of lights."""

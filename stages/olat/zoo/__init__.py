@@ -1,0 +1,1 @@
+"""The published solvers, to compare the closed forms with."""

@@ -1,0 +1,58 @@
+"""A light stage's cameras under every map: from the sum of the frames and from the fitted maps."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.engine.stage import StageRun
+from pipeline.formats.images import read_mask, srgb_encode, write_exr, write_png
+from pipeline.geometry.cameras import camera_from_frame
+from pipeline.rig.relighting import relight_maps, relight_olat, relighting_error
+
+from .maps import RGB, read_map
+
+
+def relight_stage(run: StageRun) -> None:
+    """Write ENV/camNN.exr (maps), ENV/camNN_olat.exr (frames) and ENV/camNN_error.exr (their difference), with previews."""
+    index_path = run.inputs["decode"] / "olat.json"
+    index = json.loads(index_path.read_text())
+    config = run.capture.config.olat
+    up = run.capture.up
+    names = sorted(index["cameras"])
+    with run.progress.bar("relighting", total=len(run.environments) * len(names), unit="images") as bar:
+        for path in run.environments:
+            radiance, faults = read_map(path)
+            for fault in faults:
+                run.warn(fault)
+            for name in names:
+                camera = camera_from_frame({"file_path": name, **index["cameras"][name]["camera"]}, {}, index_path)
+                mask = _mask(run, name)
+                summed = relight_olat(
+                    index, run.capture.root, name, radiance, mask,
+                    irradiance=config.irradiance, specular_factor=config.specular_factor, up=up,
+                )  # fmt: skip
+                _write(run, path.stem, f"{name}_olat", summed)
+                if "olat" in run.inputs:
+                    shaded = relight_maps(run.inputs["olat"] / name, camera, radiance, up=up)
+                    _write(run, path.stem, name, shaded)
+                    inside = np.asarray(shaded.any(-1)) if mask is None else mask
+                    error = relighting_error(summed, shaded, inside)
+                    write_exr(run.output / path.stem / f"{name}_error.exr", {"Y": error})
+                    if inside.any():
+                        run.note(f"{path.stem}.{name}.maps_error_median", round(float(np.median(error[inside])), 4))
+                bar.advance(1)
+
+
+def _mask(run: StageRun, name: str) -> NDArray[np.bool_] | None:
+    folder = run.inputs.get("masks")
+    path = folder / f"{name}.png" if folder else None
+    return read_mask(path) if path is not None and path.exists() else None
+
+
+def _write(run: StageRun, environment: str, name: str, image: NDArray[np.float32]) -> None:
+    write_exr(run.output / environment / f"{name}.exr", {c: image[..., k] for k, c in enumerate(RGB)})
+    if run.parameters.previews:
+        write_png(run.output / environment / f"{name}.png", srgb_encode(image))

@@ -1,0 +1,62 @@
+"""Shadows and inter-reflection that the mesh throws on the views' pixels: rays once, every map by matrix products."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from pipeline.geometry.occluder import Occluder, simplified
+from pipeline.rig.latlong_lights import Y_UP_FROM
+from pipeline.shading import Occlusion
+from pipeline.shading.transfer import Attachment, SurfaceLight, Transfer
+
+from .deferred import Lamp, ShadingModel, Surface
+from .turntable import read_ply
+
+TRANSFER_TEXELS = 16  # along a cube face: shadows' edges are 6 degrees wide
+FACES = 20_000  # of the mesh that throws them
+NEIGHBOURS = 3  # coarse vertices that a fine one is interpolated from
+
+
+class SelfOcclusion:
+    """The mesh as an occluder, in the maps' frame (y up), and the views' pixels tied to it."""
+
+    def __init__(self, mesh: Path, model: ShadingModel) -> None:
+        from scipy.spatial import cKDTree
+
+        vertices, attributes, faces = read_ply(mesh)
+        self._turn = Y_UP_FROM[model.up]
+        self._lobe = model.lobe
+        coarse, triangles = simplified(vertices, faces, FACES)
+        _, nearest = cKDTree(vertices).query(coarse)
+        self._coarse_of_fine = cKDTree(coarse).query(vertices, k=NEIGHBOURS)
+        material = attributes[nearest, 3:]
+        ior = float(np.median(material[:, 4]))
+        occluder = Occluder(coarse @ self._turn.T, triangles)
+        self._transfer = Transfer(occluder, material[:, :3], ior=ior, resolution=TRANSFER_TEXELS)
+
+    def under(self, lamp: Lamp) -> SurfaceLight:
+        """Light at the mesh's vertices under a map."""
+        return self._transfer.light(lamp.cube)
+
+    def on_mesh(self, light: SurfaceLight) -> NDArray[np.float32]:
+        """Shadow and bounced light [V, 6] at the vertices of mesh.ply, from the nearest of the coarse mesh's."""
+        distance, index = self._coarse_of_fine
+        weight = 1 / (distance + 1e-3 * distance.max() + np.finfo(float).tiny)  # a vertex of both meshes takes its own value
+        weight /= weight.sum(1, keepdims=True)
+        values = torch.cat([light.shadow, light.bounced], 1).numpy()
+        return np.einsum("vk,vkc->vc", weight, values[index]).astype(np.float32)
+
+    def attach(self, surface: Surface, own_rays: bool = False) -> Attachment:
+        """Rays of a view's points: they hold for every map. own_rays: also for diffuse light (`Transfer.attach`)."""
+        points, normals, view = (np.asarray(v @ self._turn.T) for v in (surface.position, surface.normal, surface.view))
+        near = self._transfer.occluder.nearest(points)  # blended depths lie a little inside the mesh: rays start on it
+        points = np.einsum("pk,pkc->pc", near.weights, self._transfer.occluder.vertices[near.vertices])
+        return self._transfer.attach(points, normals, view, surface.material[:, 3], lobe=self._lobe, own_rays=own_rays)
+
+    def at(self, attachment: Attachment, light: SurfaceLight) -> Occlusion:
+        """What shading needs at a view's points under one map."""
+        return self._transfer.occlusion(attachment, light)

@@ -1,0 +1,35 @@
+"""The environment as training sees it: log radiance on a cube, and its smoothness prior over the sphere."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from scipy.spatial import cKDTree
+
+from pipeline.shading import cube_directions
+
+DARKEST = 1e-4  # radiance (training exposure) below which a texel is black for every purpose: bounds the logarithm
+
+
+class Environment:
+    """Log radiance [6, R, R, 3] and the texel graph (4 to 8 neighbours across all face borders)."""
+
+    def __init__(self, resolution: int, radiance: float, device: str = "cpu") -> None:
+        self.resolution = resolution
+        start = torch.full((6, resolution, resolution, 3), float(np.log(radiance)), device=device)
+        self.raw = start.requires_grad_(True)
+        directions = cube_directions(resolution).reshape(-1, 3)
+        _, index = cKDTree(directions).query(directions, k=5)
+        i = np.repeat(np.arange(len(directions)), 4)
+        pairs = np.unique(np.sort(np.stack([i, index[:, 1:].ravel()], -1), -1), axis=0)
+        self.edges = torch.as_tensor(pairs.T.copy(), device=device)
+
+    def radiance(self) -> torch.Tensor:
+        """Linear radiance [6, R, R, 3] > 0 in the training exposure."""
+        return torch.exp(self.raw.clamp(np.log(DARKEST), 30.0))  # e^30: past any sun, within float32
+
+    def roughness_of(self) -> torch.Tensor:
+        """Smoothness prior: mean robust difference of log radiance between neighbouring texels (halos may be steep)."""
+        flat = self.raw.reshape(-1, 3)
+        difference = flat[self.edges[1]] - flat[self.edges[0]]
+        return (torch.sqrt(difference * difference + 0.05**2) - 0.05).mean()

@@ -1,1 +1,0 @@
-"""Recesses: hollows that no silhouette shows, found where another depth explains the photographs better."""

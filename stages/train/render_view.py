@@ -1,0 +1,152 @@
+"""One view of the model: cull, rasterise the attributes, divide by opacity once, shade, polarise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+
+from pipeline.shading import LightField, Occlusion, Shaded, shade
+
+from .rasterize import Raster, rasterize
+from .splats.gaussians import Splats, unit
+from .views.data import View
+
+BACK_FACING = 0.1  # cosine below which a splat has turned its outer side away: half of it reaches past the horizon
+SCREEN_FILTER = 2  # half of gsplat's low-pass filter, which widens every outline by a pixel: 0.5 to 1 degree of normal error
+LAYER = 4.0  # median splat sigmas of depth within which splats are one surface: two pixels, when they are 0.9 apart
+SAMPLES = SCREEN_FILTER  # a side, for a pixel's mean normal: the filter is then the usual one on the larger image
+SHOWN = 0.5  # opacity from which a place shows what is there: normals exist where transmittance falls to one half
+LEAST_ALPHA = 1e-3  # opacity below which a pixel's attributes are noise over noise: they then fade to zero instead
+
+
+@dataclass(frozen=True)
+class GBuffer:
+    """Attributes of P pixels, divided by opacity: normal [P, 3] (unit, outward), albedo [P, 3], roughness, ior, alpha [P];
+    extra [P, C]; alpha_image [H, W]; the raster itself; rows: indices of the splats that were drawn."""
+
+    normal: torch.Tensor
+    albedo: torch.Tensor
+    roughness: torch.Tensor
+    ior: torch.Tensor
+    extra: torch.Tensor
+    alpha: torch.Tensor
+    alpha_image: torch.Tensor
+    raster: Raster
+    rows: torch.Tensor
+
+
+@dataclass(frozen=True)
+class Rendered:
+    """Stokes radiance [P, 3, 3] times opacity, with the G-buffer and the shading that made it."""
+
+    stokes: torch.Tensor
+    gbuffer: GBuffer
+    shaded: Shaded
+    splats: Splats
+
+
+def rasterise_view(
+    splats: Splats, view: View, pixels: torch.Tensor, backend: str, extra: torch.Tensor | None = None
+) -> GBuffer:
+    """G-buffer of a view at flat pixel indices [P]; `extra` [N, C] per-splat values are blended alongside."""
+    height, width = view.size
+    rows = torch.nonzero(_faces(splats, view))[:, 0]
+    columns = [splats.normals, splats.albedo, splats.roughness[:, None], splats.ior[:, None]]
+    features = torch.cat(columns if extra is None else [*columns, extra], -1)[rows]
+    raster = _rasterised(splats, rows, features, view, backend)
+    alpha = raster.alpha.reshape(-1)[pixels]
+    values = raster.features.reshape(height * width, -1)[pixels] / alpha.clamp_min(LEAST_ALPHA)[:, None]
+    return GBuffer(
+        normal=unit(values[:, :3]),
+        albedo=values[:, 3:6],
+        roughness=values[:, 6],
+        ior=values[:, 7],
+        extra=values[:, 8:],
+        alpha=alpha,
+        alpha_image=raster.alpha,
+        raster=raster,
+        rows=rows,
+    )
+
+
+@torch.no_grad()
+def mean_normals(splats: Splats, view: View, backend: str, openings: bool) -> torch.Tensor:
+    """Normals [P, 3], unit, averaged over SAMPLES x SAMPLES places in each of a view's counting pixels; 0 where nothing is.
+
+    A pixel's colour is the mean over its area, and so is the normal of what it shows: that at its centre is off by two
+    thirds of a degree on a true surface. With `openings`, where no outer side is in the way of a splat that turns its
+    back, its outward normal counts, which faces away from the camera: see `data.opening_pixels`.
+    """
+    faces = _faces(splats, view)
+    sides = [faces, ~faces] if openings else [faces]
+    total = None
+    for side in sides:
+        rows = torch.nonzero(side)[:, 0]
+        raster = _rasterised(splats, rows, splats.normals[rows], view, backend, SAMPLES)
+        shown = unit(raster.features) * (raster.alpha > SHOWN)[..., None]
+        total = shown if total is None else torch.where((total != 0).any(-1, keepdim=True), total, shown)
+    assert total is not None
+    height, width = view.size
+    pooled = total.reshape(height, SAMPLES, width, SAMPLES, 3).mean((1, 3))
+    return unit(pooled.reshape(-1, 3)[view.pixels])
+
+
+@torch.no_grad()
+def _faces(splats: Splats, view: View) -> torch.Tensor:
+    """Which splats [N] do not show the view their inner side."""
+    centre = -view.world_to_camera[:3, :3].T @ view.world_to_camera[:3, 3]
+    towards = centre - splats.means
+    return (splats.normals * towards).sum(-1) > BACK_FACING * towards.norm(dim=-1)
+
+
+def _rasterised(splats: Splats, rows: torch.Tensor, features: torch.Tensor, view: View, backend: str, finer: int = 1) -> Raster:
+    """The splats `rows` with their features [R, C] in a view, `finer` (1 or SCREEN_FILTER) times as large."""
+    height, width = view.size
+    lens = view.intrinsics.clone()
+    lens[:2] *= finer
+    scales = splats.scales.detach()
+    return rasterize(
+        splats.means[rows],
+        splats.quaternions[rows],
+        splats.scales[rows],
+        splats.opacities[rows],
+        features,
+        view.world_to_camera,
+        lens,
+        finer * width,
+        finer * height,
+        backend=backend,
+        screen_filter=SCREEN_FILTER // finer,
+        layer=LAYER * float(scales.median()) if len(scales) else 0.0,
+    )
+
+
+def render_view(
+    splats: Splats,
+    view: View,
+    light: LightField,
+    *,
+    backend: str = "cpu",
+    fresnel: str = "exact",
+    mirror: str = "split",
+    occlusion: Occlusion | None = None,
+) -> Rendered:
+    """Stokes image of a view at its counting pixels."""
+    g = rasterise_view(splats, view, view.pixels, backend)
+    # An empty pixel has a zero normal: any finite one will do, its opacity is 0.
+    normal = torch.where(g.alpha[:, None] > 0, g.normal, view.view_direction)
+    shaded = shade(
+        normal,
+        view.view_direction,
+        g.albedo,
+        g.roughness,
+        g.ior,
+        view.frame_x,
+        view.frame_y,
+        light,
+        occlusion=occlusion,
+        fresnel=fresnel,
+        mirror=mirror if fresnel == "exact" else "split",
+    )
+    return Rendered(shaded.stokes * g.alpha[:, None, None], g, shaded, splats)

@@ -1,0 +1,1 @@
+"""The Gaussians: parameters, surface graph, losses on the surface, optimiser, densification, occlusion."""

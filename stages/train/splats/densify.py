@@ -1,0 +1,93 @@
+"""More Gaussians where the images ask for them, fewer where nothing shows: pure operations on model and optimiser."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+
+from .gaussians import PER_SPLAT, SplatModel
+from .optimiser import SurfaceAdam
+from .surface_graph import SurfaceGraph
+
+LEAST_OPACITY = 0.05  # fainter splats are removed (the released code's figure)
+LEAST_WEIGHT = 0.01  # a splat that never had this blending weight in any view since the last look is hidden
+SHRINK = 0.85  # scale of a split edge's ends and of the new splat, so that details get sharper and coverage stays
+GROWTH = 0.08  # largest share of new splats a time
+
+
+@dataclass
+class Activity:
+    """Per splat since the last look: summed screen gradient (1/px), times drawn, largest blending weight, and in how many
+    views it turned its outer side to the camera. [N] each."""
+
+    gradient: torch.Tensor
+    drawn: torch.Tensor
+    weight: torch.Tensor
+    faced: torch.Tensor
+
+    @classmethod
+    def empty(cls, count: int, device: torch.device | str) -> Activity:
+        """Nothing seen yet."""
+        return cls(*(torch.zeros(count, device=device) for _ in range(4)))
+
+    def add(self, rows: torch.Tensor, gradient: torch.Tensor, weight: torch.Tensor) -> None:
+        """Take in one view: values of the splats `rows` that were drawn."""
+        self.faced[rows] += 1
+        self.gradient[rows] += gradient
+        self.drawn[rows] += (weight > 0).to(self.drawn.dtype)
+        self.weight[rows] = torch.maximum(self.weight[rows], weight)
+
+
+def kept_rows(opacities: torch.Tensor, activity: Activity, backs: bool = False) -> torch.Tensor:
+    """Indices of the splats that show: opaque enough, and in front somewhere.
+
+    With `backs`, those that every view since the last look sees from behind stay too: an opening may show them.
+    """
+    shows = activity.weight > LEAST_WEIGHT
+    if backs:
+        shows |= activity.faced == 0
+    return torch.nonzero((opacities > LEAST_OPACITY) & shows)[:, 0]
+
+
+def edges_to_split(graph: SurfaceGraph, activity: Activity, room: int) -> torch.Tensor:
+    """Up to `room` edges [2, M] about which the images pull hardest, none sharing a splat."""
+    count = len(activity.gradient)
+    room = min(room, int(GROWTH * count))
+    if room <= 0 or graph.edges.shape[1] == 0:
+        return graph.edges[:, :0]
+    pull = activity.gradient / activity.drawn.clamp_min(1)
+    i, j = graph.edges
+    score = torch.minimum(pull[i], pull[j])
+    order = torch.argsort(score, descending=True, stable=True)[: 8 * room].cpu().tolist()
+    first, second = i.cpu().tolist(), j.cpu().tolist()
+    used: set[int] = set()
+    chosen: list[int] = []
+    for e in order:
+        if len(chosen) == room:
+            break
+        if first[e] not in used and second[e] not in used:
+            used.update((first[e], second[e]))
+            chosen.append(e)
+    return graph.edges[:, torch.tensor(chosen, dtype=torch.long, device=graph.edges.device)]
+
+
+@torch.no_grad()
+def split_edges(model: SplatModel, adam: SurfaceAdam, edges: torch.Tensor) -> None:
+    """Add a splat at every edge's middle with its ends' mean values, in place; all three shrink."""
+    i, j = edges
+    if len(i) == 0:
+        return
+    for name in PER_SPLAT:
+        old = model.tensors[name].detach().clone()
+        if name == "log_scale":
+            old[edges.reshape(-1)] += torch.log(torch.tensor(SHRINK)).item()
+        model.tensors[name] = torch.cat([old, 0.5 * (old[i] + old[j])]).requires_grad_(True)
+    adam.append(PER_SPLAT, len(i))
+
+
+@torch.no_grad()
+def keep(model: SplatModel, adam: SurfaceAdam, rows: torch.Tensor) -> None:
+    """Remove every splat but these, in place."""
+    model.select(rows)
+    adam.select(PER_SPLAT, rows)

@@ -1,0 +1,102 @@
+"""Adam over named tensors, with updates of per-splat tensors diffused along the surface."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+
+from .surface_graph import SurfaceGraph
+
+BETA1, BETA2 = 0.9, 0.99  # a short run: 0.999 would still remember the first third at its end
+EPSILON = 1e-12  # gradients here are means over pixels and splats, often 1e-8: a usual 1e-8 would stop the quiet ones
+
+
+def adam_update(
+    first: torch.Tensor, second: torch.Tensor, gradient: torch.Tensor, steps: int, together: bool = False
+) -> torch.Tensor:
+    """Adam's step for a unit learning rate (Kingma and Ba 2015, Alg. 1); updates both moments in place.
+
+    `steps` counts this one. `together`: rows share one step length, which keeps the direction of vectors.
+    """
+    first.lerp_(gradient, 1 - BETA1)
+    second.mul_(BETA2).addcmul_(gradient, gradient, value=1 - BETA2)
+    scale = second / (1 - BETA2**steps)
+    if together:
+        scale = scale.mean(-1, keepdim=True)
+    return first / (1 - BETA1**steps) / (scale.sqrt() + EPSILON)
+
+
+@dataclass(frozen=True)
+class Group:
+    """How one tensor is stepped: base learning rate, and diffusion rounds of its update over the surface graph."""
+
+    rate: float
+    diffusion: int = 0
+
+
+class SurfaceAdam:
+    """Adam whose per-splat updates are averaged with the neighbours' before they are applied.
+
+    That is a preconditioner (the 'large steps' of Nicolet et al. 2021 in a few Jacobi rounds): it lets a surface move as
+    one piece where its splats agree and is symmetric positive up to row scaling, so it does not change where the
+    gradient vanishes.
+    """
+
+    def __init__(self, groups: dict[str, Group]) -> None:
+        self.groups = groups
+        self.first: dict[str, torch.Tensor] = {}
+        self.second: dict[str, torch.Tensor] = {}
+        self.steps: dict[str, int] = {}
+
+    @torch.no_grad()
+    def step(
+        self,
+        tensors: dict[str, torch.Tensor],
+        rate_scale: dict[str, float],
+        graph: SurfaceGraph | None,
+        diffusion_scale: float = 1.0,
+    ) -> None:
+        """One update of every tensor that has a gradient; gradients are cleared. A non-finite gradient entry counts as 0."""
+        for name, tensor in tensors.items():
+            if tensor.grad is None or name not in self.groups:
+                continue
+            group = self.groups[name]
+            gradient = torch.nan_to_num(tensor.grad, nan=0.0, posinf=0.0, neginf=0.0)
+            tensor.grad = None
+            if name not in self.first or self.first[name].shape != tensor.shape:
+                self.first[name] = torch.zeros_like(tensor)
+                self.second[name] = torch.zeros_like(tensor)
+                self.steps[name] = 0
+            self.steps[name] += 1
+            together = bool(group.diffusion) and gradient.ndim > 1
+            update = adam_update(self.first[name], self.second[name], gradient, self.steps[name], together)
+            rounds = round(group.diffusion * diffusion_scale)
+            if rounds and graph is not None and update.shape[0] == len(graph):
+                flat = update.reshape(len(update), -1)
+                update = graph.diffuse(flat, rounds).reshape(update.shape)
+            tensor.sub_(group.rate * rate_scale.get(name, rate_scale[""]) * update)
+
+    def select(self, names: tuple[str, ...], rows: torch.Tensor) -> None:
+        """Keep these rows of the moments of per-splat tensors (the same rows that the model keeps)."""
+        for name in names:
+            if name in self.first:
+                self.first[name] = self.first[name][rows].clone()
+                self.second[name] = self.second[name][rows].clone()
+
+    def append(self, names: tuple[str, ...], count: int) -> None:
+        """Moments of `count` new rows: none yet."""
+        for name in names:
+            for moments in (self.first, self.second):
+                if name in moments:
+                    old = moments[name]
+                    moments[name] = torch.cat([old, old.new_zeros(count, *old.shape[1:])])
+
+    def state(self) -> dict[str, Any]:
+        """Everything a resume needs."""
+        return {"first": self.first, "second": self.second, "steps": self.steps}
+
+    def load(self, state: dict[str, Any]) -> None:
+        """Take over a saved state."""
+        self.first, self.second, self.steps = state["first"], state["second"], dict(state["steps"])

@@ -1,0 +1,207 @@
+"""Self-occlusion while training: shadow and one bounce per splat, blocked reflections per pixel, by ray casting.
+
+The occluder is the visual hull's mesh carried along by the splats, so its topology stays and nothing is meshed anew.
+What is traced enters shading as constants (no gradient) and is traced again every few hundred steps.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from scipy.spatial import cKDTree
+
+from pipeline.shading import LightField, Occlusion, shade
+
+from ..initialise.hull import HullMesh, vertex_normals
+from .gaussians import SplatModel, Splats
+from .surface_graph import SurfaceGraph
+
+DIFFUSE_RAYS = 96  # cosine-weighted rays a splat; their noise is averaged over neighbours as well
+AT_ONCE = 4096  # splats traced at a time: all 3 million rays at once were the run's peak of memory, 0.7 GiB
+LOBE_RAYS = 6  # rays through a pixel's reflection lobe
+SMOOTHING = 2  # diffusion rounds of the traced per-splat values
+NEAREST = 4  # splats that carry a hull vertex
+LEAST_BLOCKED = 0.004  # mean share of blocked diffuse rays below which the object counts as convex and tracing is left out
+
+
+@dataclass(frozen=True)
+class Occluder:
+    """A triangle mesh to cast rays at, and for each vertex the nearest splat (whose material it shows)."""
+
+    scene: object
+    vertices: np.ndarray
+    triangles: np.ndarray
+    normals: np.ndarray
+    splat_of_vertex: np.ndarray
+
+    def cast(self, origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """For rays [M, 3]: whether an outer side is hit [M], and the splat nearest to the hit point [M] (-1: miss).
+
+        A first hit from behind means that the ray began just under the surface: it counts as free.
+        """
+        import open3d as o3d
+
+        rays = o3d.core.Tensor(np.concatenate([origins, directions], -1).astype(np.float32))
+        answer = self.scene.cast_rays(rays)  # type: ignore[attr-defined]
+        triangle = answer["primitive_ids"].numpy().astype(np.int64)
+        facing = (answer["primitive_normals"].numpy() * directions).sum(-1) < 0
+        hit = np.isfinite(answer["t_hit"].numpy()) & facing
+        uv = answer["primitive_uvs"].numpy()
+        corner = np.stack([1 - uv.sum(-1), uv[:, 0], uv[:, 1]], -1).argmax(-1)
+        splat = np.full(len(hit), -1, np.int64)
+        splat[hit] = self.splat_of_vertex[self.triangles[triangle[hit], corner[hit]]]
+        return hit, splat
+
+
+def carried_hull(hull: HullMesh, model: SplatModel) -> Occluder:
+    """The hull with every vertex moved as its nearest splats have moved since the start."""
+    import open3d as o3d
+
+    anchors = model["anchor"].detach().cpu().double().numpy()
+    moved = model["position"].detach().cpu().double().numpy() - anchors
+    distance, index = cKDTree(anchors).query(hull.vertices, k=min(NEAREST, len(anchors)))
+    weight = 1 / (distance**2 + (0.25 * np.median(distance[:, -1])) ** 2)  # inverse squares, level within a quarter spacing
+    weight /= weight.sum(-1, keepdims=True)
+    vertices = hull.vertices + (weight[..., None] * moved[index]).sum(1)
+    scene = o3d.t.geometry.RaycastingScene()
+    scene.add_triangles(o3d.core.Tensor(vertices.astype(np.float32)), o3d.core.Tensor(hull.triangles.astype(np.uint32)))
+    return Occluder(scene, vertices, hull.triangles, vertex_normals(vertices, hull.triangles), index[:, 0])
+
+
+@dataclass(frozen=True)
+class SplatOcclusion:
+    """Per splat: shadow [N, 3] (share of the irradiance that arrives) and bounced [N, 3] (irradiance off the object);
+    `blocked`: mean share of blocked rays, 0 for a convex object."""
+
+    shadow: torch.Tensor
+    bounced: torch.Tensor
+    blocked: float
+
+
+def trace_splats(
+    occluder: Occluder, splats: Splats, light: LightField, graph: SurfaceGraph, seed: int, fresnel: str
+) -> SplatOcclusion:
+    """Shadow and one diffuse-and-specular bounce at every splat, under the current light and material."""
+    normals = splats.normals.detach().cpu().numpy().astype(np.float32)
+    origins = splats.means.detach().cpu().numpy().astype(np.float32) + 0.7 * graph.spacing * normals
+    turn = np.random.default_rng(seed).random(len(normals)).astype(np.float32) * 2 * np.pi
+    blocked, parts = 0, []
+    for first in range(0, len(normals), AT_ONCE):
+        rows = slice(first, first + AT_ONCE)
+        values, hits = _trace_rows(occluder, splats, light, origins[rows], normals[rows], turn[rows], fresnel)
+        parts.append(values)
+        blocked += hits
+    values = graph.diffuse(torch.cat(parts), SMOOTHING)
+    return SplatOcclusion(values[:, :3], values[:, 3:], blocked / (len(normals) * DIFFUSE_RAYS))
+
+
+def _trace_rows(
+    occluder: Occluder,
+    splats: Splats,
+    light: LightField,
+    origins: np.ndarray,
+    normals: np.ndarray,
+    turn: np.ndarray,
+    fresnel: str,
+) -> tuple[torch.Tensor, int]:
+    """Shadow and bounce [R, 6] at some of the splats, and how many of their rays are blocked."""
+    device = splats.means.device
+    directions = local_to_world(cosine_directions(DIFFUSE_RAYS), normals, turn)  # [R, K, 3]
+    count = directions.shape[1]
+    flat = directions.reshape(-1, 3)
+    hit, splat = occluder.cast(np.repeat(origins, count, 0), flat)
+    roughness = torch.full((len(flat),), 0.55, device=device)  # a smooth level: rays stand for the solid angle about them
+    radiance = light.mirrored(torch.as_tensor(flat, device=device), roughness)
+    open_ = torch.as_tensor(~hit, device=device)[:, None]
+    total = radiance.reshape(-1, count, 3).sum(1)
+    arriving = (radiance * open_).reshape(-1, count, 3).sum(1)
+    bounce = torch.zeros_like(radiance)
+    rows = torch.as_tensor(np.flatnonzero(hit), device=device)
+    bounce[rows] = outgoing(splats, splat[hit], flat[hit], light, fresnel)
+    values = torch.cat([arriving / total.clamp_min(1e-12), np.pi / count * bounce.reshape(-1, count, 3).sum(1)], -1)
+    return values, int(hit.sum())
+
+
+def outgoing(splats: Splats, rows: np.ndarray, towards: np.ndarray, light: LightField, fresnel: str) -> torch.Tensor:
+    """Radiance [M, 3] that splats `rows` send back along the incoming directions `towards` [M, 3] (unoccluded there)."""
+    device = splats.means.device
+    r = torch.as_tensor(rows, device=device)
+    view = torch.as_tensor(-towards, device=device)
+    frame = torch.zeros_like(view)  # only s0 is wanted
+    out = shade(
+        splats.normals.detach()[r],
+        view,
+        splats.albedo.detach()[r],
+        splats.roughness.detach()[r],
+        splats.ior.detach()[r],
+        frame,
+        frame,
+        light,
+        fresnel=fresnel,
+    )
+    return out.stokes[:, 0]
+
+
+def trace_pixels(
+    occluder: Occluder,
+    splats: Splats,
+    light: LightField,
+    points: np.ndarray,
+    normals: np.ndarray,
+    view_direction: np.ndarray,
+    roughness: np.ndarray,
+    spacing: float,
+    seed: int,
+    fresnel: str,
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Share of the reflection lobe that leaves the object [P], and the object's radiance in the rest of it [P, 3]."""
+    device = splats.means.device
+    rng = np.random.default_rng(seed)
+    count = len(points)
+    u = (np.arange(LOBE_RAYS) + rng.random((count, LOBE_RAYS))) / LOBE_RAYS
+    angle = 2 * np.pi * ((np.arange(LOBE_RAYS) * 0.618034 + rng.random((count, 1))) % 1.0)
+    tan2 = -((roughness**4)[:, None]) * np.log1p(-u * 0.999)  # Beckmann half vectors; the last 0.1 % is the far tail
+    nz = 1 / np.sqrt(1 + tan2)
+    sine = np.sqrt(1 - nz * nz)
+    local = np.stack([sine * np.cos(angle), sine * np.sin(angle), nz], -1).astype(np.float32)
+    half = local_to_world(local, normals, np.zeros(count, np.float32))
+    reflected = 2 * (half * view_direction[:, None]).sum(-1, keepdims=True) * half - view_direction[:, None]
+    below = (reflected * normals[:, None]).sum(-1) <= 0.02
+    flat = reflected.reshape(-1, 3).astype(np.float32)
+    origins = np.repeat(points + 0.7 * spacing * normals, LOBE_RAYS, 0)
+    hit, splat = occluder.cast(origins, flat)
+    hit &= ~below.reshape(-1)
+    seen = torch.zeros(len(flat), 3, device=device)
+    if hit.any():
+        seen[torch.as_tensor(np.flatnonzero(hit), device=device)] = outgoing(splats, splat[hit], flat[hit], light, fresnel)
+    unblocked = 1 - torch.as_tensor(hit.reshape(count, LOBE_RAYS).astype(np.float32).mean(1), device=device)
+    return unblocked, seen.reshape(count, LOBE_RAYS, 3).mean(1)
+
+
+def view_occlusion(shadow: torch.Tensor, bounced: torch.Tensor, unblocked: torch.Tensor, seen: torch.Tensor) -> Occlusion:
+    """The four terms [P, 3], [P, 3], [P], [P, 3] as shading takes them."""
+    return Occlusion(shadow=shadow, bounced=bounced, unblocked=unblocked, seen=seen)
+
+
+def cosine_directions(count: int) -> np.ndarray:
+    """Cosine-weighted directions about z on a Fibonacci spiral, float32 [count, 3]: each stands for pi / count."""
+    k = np.arange(count) + 0.5
+    sine2 = k / count
+    phi = k * np.pi * (3 - np.sqrt(5.0))
+    sine = np.sqrt(sine2)
+    return np.stack([sine * np.cos(phi), sine * np.sin(phi), np.sqrt(1 - sine2)], -1).astype(np.float32)
+
+
+def local_to_world(local: np.ndarray, normals: np.ndarray, turn: np.ndarray) -> np.ndarray:
+    """Directions [K, 3] or [P, K, 3] about z, turned about it by `turn` [P] and carried to the normals [P, 3]: [P, K, 3]."""
+    helper = np.eye(3, dtype=np.float32)[np.abs(normals).argmin(-1)]
+    u = np.cross(helper, normals)
+    u /= np.maximum(np.linalg.norm(u, axis=-1, keepdims=True), 1e-12)
+    v = np.cross(normals, u)
+    c, s = np.cos(turn)[:, None], np.sin(turn)[:, None]
+    u, v = (c * u + s * v).astype(np.float32), (c * v - s * u).astype(np.float32)
+    if local.ndim == 2:
+        local = np.broadcast_to(local, (len(normals), *local.shape))
+    return local[..., :1] * u[:, None] + local[..., 1:2] * v[:, None] + local[..., 2:] * normals[:, None].astype(np.float32)

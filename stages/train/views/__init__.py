@@ -1,0 +1,1 @@
+"""The photographs: loaded, framed, behind polarisers, and the losses on pixels."""

@@ -1,0 +1,107 @@
+"""Light-stage folders: which frame is which light, and what is refused."""
+
+import numpy as np
+import pytest
+
+from pipeline.capture import open_capture
+from pipeline.errors import UserError
+from pipeline.formats.images import write_exr, write_mask
+
+CAMERA = """#focal length
+200 200
+#principal point
+10 20
+#resolution
+20 40
+#distortion coeffs
+0.4 -0.2 0 0
+MATRIX :
+1 0 0 0
+0 1 0 0
+0 0 1 100
+0 0 0 1
+"""
+
+
+def build(root, lights=5, first=0, extra=0, size=(20, 10)):
+    frame = {c: np.full(size, 0.5, np.float32) for c in "RGB"}
+    for name in ("cross", "parallel"):
+        for k in range(first - min(first, 2), first + lights + extra):
+            write_exr(root / "cam00" / name / f"{k:06d}.exr", frame, half=True)
+    write_mask(root / "cam00" / "mask.png", np.ones(size, bool))
+    (root / "cameras").mkdir()
+    (root / "cameras" / "camera00.txt").write_text(CAMERA)
+    rows = "\n".join(f"{k},{np.cos(k)},{np.sin(k)},1" for k in range(lights))
+    (root / "lights.csv").write_text("index,x,y,z\n" + rows + "\n")
+    return root
+
+
+def test_frames_from_zero_are_the_lights(tmp_path):
+    camera = open_capture(build(tmp_path)).light_stage.cameras["cam00"]
+    assert [p.stem for p in camera.cross] == [f"{k:06d}" for k in range(5)]
+
+
+def test_two_leading_frames_under_all_lights_are_set_aside(tmp_path):
+    capture = open_capture(build(tmp_path, first=2, extra=2))
+    camera = capture.light_stage.cameras["cam00"]
+    assert [p.stem for p in camera.parallel] == [f"{k:06d}" for k in range(2, 7)]
+    assert [p.stem for p in camera.full_light] == ["000000", "000001", "000007", "000008"]
+
+
+def test_a_smaller_image_is_the_full_frame_scaled_by_height_and_centred(tmp_path):
+    camera = open_capture(build(tmp_path)).light_stage.cameras["cam00"].camera
+    assert (camera.fx, camera.cx, camera.cy) == (100.0, 5.0, 10.0)
+    assert np.allclose(camera.centre, [0, 0, 100]) and camera.distortion == ()
+
+
+def test_distortion_is_applied_only_on_request(tmp_path):
+    build(tmp_path)
+    (tmp_path / "capture.toml").write_text("[olat]\ndistortion = true\n")
+    assert open_capture(tmp_path).light_stage.cameras["cam00"].camera.distortion[0] == 0.4
+
+
+def test_a_table_of_another_length_is_refused(tmp_path):
+    build(tmp_path)
+    (tmp_path / "lights.csv").write_text("index,x,y,z\n0,1,0,0\n1,0,1,0\n")
+    with pytest.raises(UserError, match="lists 2 lights"):
+        open_capture(tmp_path)
+
+
+def test_missing_frames_are_named(tmp_path):
+    build(tmp_path)
+    (tmp_path / "cam00" / "cross" / "000002.exr").unlink()
+    with pytest.raises(UserError, match="lacks frame 2"):
+        open_capture(tmp_path)
+
+
+@pytest.mark.parametrize("victim", ["cam00/parallel", "cameras/camera00.txt", "lights.csv"])
+def test_missing_parts_are_refused_by_path(tmp_path, victim):
+    import shutil
+
+    build(tmp_path)
+    path = tmp_path / victim
+    shutil.rmtree(path) if path.is_dir() else path.unlink()
+    with pytest.raises(UserError):
+        open_capture(tmp_path)
+
+
+def test_a_mask_of_another_size_is_refused(tmp_path):
+    build(tmp_path)
+    write_mask(tmp_path / "cam00" / "mask.png", np.ones((4, 4), bool))
+    with pytest.raises(UserError, match="the frames"):
+        open_capture(tmp_path)
+
+
+def test_an_empty_frame_is_refused(tmp_path):
+    build(tmp_path)
+    (tmp_path / "cam00" / "cross" / "000001.exr").write_bytes(b"")
+    with pytest.raises(UserError, match="0 bytes"):
+        open_capture(tmp_path)
+
+
+def test_a_camera_matrix_that_is_no_rotation_is_refused(tmp_path):
+    build(tmp_path)
+    path = tmp_path / "cameras" / "camera00.txt"
+    path.write_text(path.read_text().replace("1 0 0 0\n0 1", "2 0 0 0\n0 1"))
+    with pytest.raises(UserError, match="no rotation"):
+        open_capture(tmp_path)
