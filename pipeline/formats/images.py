@@ -14,7 +14,7 @@ from pipeline.errors import UserError
 from pipeline.formats.truncation import refuse_truncated
 
 if TYPE_CHECKING:
-    from pipeline.image_parts import Page
+    from pipeline.formats.image_parts import Page
 
 STOKES = tuple(f"S{k}.{c}" for k in range(3) for c in "RGB")
 EXR_COMPRESSION = "zip:2"
@@ -31,10 +31,10 @@ def _oiio():
 
 
 def _open(path: Path, page: Page | None = None, unassociated: bool = False) -> Any:
-    """An open image: one `page` of a file of several, or what they mean together (`pipeline.image_parts`); `unassociated`:
+    """An open image: one `page` of a file of several, or what they mean together (`pipeline.formats.image_parts`); `unassociated`:
     alpha not multiplied into colour, as PNG stores it. Raises UserError."""
-    from pipeline.bare_arrays import ARRAY_SUFFIXES, open_array
-    from pipeline.image_parts import chosen
+    from pipeline.formats.bare_arrays import ARRAY_SUFFIXES, open_array
+    from pipeline.formats.image_parts import chosen
 
     if not path.is_file():
         raise UserError(path, "no such image", "check the path and the name")

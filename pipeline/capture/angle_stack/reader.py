@@ -22,7 +22,7 @@ from pipeline.capture.pixels.linear import LinearImage
 from pipeline.capture.pixels.row_bands import ROWS, LinearReader
 from pipeline.capture.pixels.stokes_files import finished
 from pipeline.capture.pixels.stokes_frame import apply_stokes_config
-from pipeline.capture.radiometry import factor_of
+from pipeline.capture.radiometry.found import factor_of
 from pipeline.errors import UserError
 
 LOOKED_AT = 100_000

@@ -16,14 +16,14 @@ from pipeline.capture.mosaic.order import order_fault
 from pipeline.capture.mosaic.sensor_files import is_mosaic, mosaic_colour, read_mosaic, refuse_colour
 from pipeline.capture.naming.files import RAW_SUFFIXES, refuse_duplicates, view_name
 from pipeline.capture.naming.grouping import Exposure, Group, group_files
-from pipeline.capture.pages import paged
+from pipeline.capture.naming.pages import paged
 from pipeline.capture.pixels.brackets import read_exposures
 from pipeline.capture.pixels.stokes_files import finished, holds_stokes, is_verbatim, mended, stokes_exr_loader
 from pipeline.capture.pixels.stokes_frame import apply_stokes_config
-from pipeline.capture.radiometry import understand
+from pipeline.capture.radiometry.found import understand
 from pipeline.errors import UserError
 from pipeline.formats.images import channel_names, image_size
-from pipeline.image_parts import Page
+from pipeline.formats.image_parts import Page
 
 NO_CARRIERS = "mosaic.order has no crossed polarisers on the diagonals: each angle is interpolated on its own, less exactly"
 

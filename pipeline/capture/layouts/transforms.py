@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 from typing import Any, Literal
 
-from pipeline.bare_arrays import ARRAY_SUFFIXES
+from pipeline.formats.bare_arrays import ARRAY_SUFFIXES
 from pipeline.capture.assembly.assemble import find_plates
 from pipeline.capture.assembly.sources import discover
 from pipeline.capture.config import CaptureConfig

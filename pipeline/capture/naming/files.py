@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
-from pipeline.bare_arrays import ARRAY_SUFFIXES
+from pipeline.formats.bare_arrays import ARRAY_SUFFIXES
 from pipeline.capture.config import CaptureConfig
 from pipeline.capture.model import PolariserPrior, ViewSource
 from pipeline.errors import UserError

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.capture.config import CaptureConfig
-from pipeline.image_parts import Page
+from pipeline.formats.image_parts import Page
 
 ANGLE = re.compile(
     r"^(?P<view>.+?)[_\-. ]?(?:pol|lp|angle|ang|deg|a|p)?[_\-]?(?P<angle>\d{1,3}(?:[.]\d+)?)(?:deg|°)?$", re.IGNORECASE

@@ -14,7 +14,7 @@ from pipeline.capture.naming.files import RAW_SUFFIXES
 from pipeline.capture.pixels.frame_memory import frame_array
 from pipeline.capture.pixels.row_bands import ROWS, LinearReader
 from pipeline.errors import UserError
-from pipeline.image_parts import Page
+from pipeline.formats.image_parts import Page
 
 
 @dataclass
@@ -89,7 +89,7 @@ def read_linear(
 def calibrated(image: LinearImage, path: Path, radiometry: RadiometryConfig) -> LinearImage:
     """Less the dark frame, over the flat field (whose mean is kept), at the usual exposure where the file's differs; in place.
     Raises UserError on other sizes."""
-    from pipeline.capture.radiometry import factor_of
+    from pipeline.capture.radiometry.found import factor_of
 
     colour = [i for i, name in enumerate(image.names) if name.lower() != "a"]
     bare = replace(radiometry, dark_frame=None, flat_field=None)

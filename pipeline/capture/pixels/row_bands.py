@@ -13,7 +13,7 @@ from pipeline.capture.naming.files import FLOAT_SUFFIXES
 from pipeline.errors import UserError
 from pipeline.formats.exr_zip import open_zip_exr
 from pipeline.formats.images import _first_line, _open, srgb_decode
-from pipeline.image_parts import Page
+from pipeline.formats.image_parts import Page
 
 ROWS = 32
 """Two of EXR's zip blocks: a band of nine half floats 4000 pixels wide is 2.3 MB."""
@@ -31,7 +31,7 @@ class LinearReader:
         self, path: Path, radiometry: RadiometryConfig, sensor_data: bool = False, page: Page | None = None
     ) -> None:
         """Raises UserError where the file is not there, empty or no image, or holds several and none is chosen (`page`)."""
-        from pipeline.capture.radiometry import for_file
+        from pipeline.capture.radiometry.found import for_file
 
         radiometry = for_file(radiometry, path)
         self.path, self.radiometry = path, radiometry

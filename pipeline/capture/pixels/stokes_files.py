@@ -14,7 +14,7 @@ from pipeline.capture.config import CaptureConfig, RadiometryConfig, StokesConfi
 from pipeline.capture.model import DecodedView
 from pipeline.capture.pixels.linear import LinearImage, fill_holes, read_linear
 from pipeline.capture.pixels.stokes_frame import apply_stokes_config
-from pipeline.capture.radiometry import factor_of
+from pipeline.capture.radiometry.found import factor_of
 from pipeline.errors import UserError
 from pipeline.formats.images import STOKES
 

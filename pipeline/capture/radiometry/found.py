@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.capture.angle_stack.solve import polariser_design
-from pipeline.capture.code_range import code_range, moved_up, some_of
+from pipeline.capture.radiometry.code_range import code_range, moved_up, some_of
 from pipeline.capture.config import CaptureConfig, RadiometryConfig
-from pipeline.capture.encoding_check import find_encoding, impossible_share, mosaic_codes, stack_codes
-from pipeline.capture.exposure import HeaderExposure, check_names, even_out, exposure_of, read_exposure
+from pipeline.capture.radiometry.encoding import find_encoding, impossible_share, mosaic_codes, stack_codes
+from pipeline.capture.radiometry.exposure import HeaderExposure, check_names, even_out, exposure_of, read_exposure
 from pipeline.capture.naming.files import RAW_SUFFIXES, count, some
 from pipeline.capture.naming.grouping import Exposure, Group
 from pipeline.errors import UserError
