@@ -89,7 +89,7 @@ def _open_npy(path: Path) -> ArrayInput:
         array = array[..., None]
     planes = array.shape[0] == 4 and min(array.shape[1:]) > 4
     if not planes and array.shape[2] not in (1, 3, 4):
-        raise UserError(path, f"{shape}, which is no image", "save a mosaic as [H, W], colour as [H, W, 3], angles as [4, H, W]")
+        raise UserError(path, f"{shape}, no image", "save a mosaic as [H, W], colour as [H, W, 3], angles as [4, H, W]")
     array = _plain_type(array, path)
     return ArrayInput([plane[..., None] for plane in array] if planes else [array])
 
@@ -111,7 +111,8 @@ def _open_raw(path: Path) -> ArrayInput:
         raise UserError(path, "holds bare samples: their size and format are not in the file", TELL)
     match = FORMAT.match(config.format)
     if match is None or (match[3] and (match[2], match[3].lower()) not in PACKED):
-        raise UserError(where, f"raw.format = {config.format!r} is not known", "Mono8 .. Mono16, Mono10p, Mono12p, Mono12Packed, Bayer.., RGB8")  # fmt: skip
+        known = "known: Mono8 .. Mono16, Mono10p, Mono12p, Mono12Packed, BayerRG8 and so on, RGB8"
+        raise UserError(where, f"raw.format = {config.format!r} is not known", known)
     colours = 3 if match[1].lower() == "rgb" else 4 if match[1].lower().startswith("polarized") else 1
     count = config.width * config.height * colours
     group = PACKED.get((match[2], (match[3] or "").lower()))
@@ -120,8 +121,10 @@ def _open_raw(path: Path) -> ArrayInput:
     have = path.stat().st_size - config.offset
     if have != need:
         size = f"{config.width}x{config.height} {config.format}"
-        raise UserError(path, f"has {have} bytes of samples, {size} has {need}", "mend raw.width, raw.height, raw.format or raw.offset in capture.toml")  # fmt: skip
+        mend = "mend raw.width, raw.height, raw.format or raw.offset in capture.toml"
+        raise UserError(path, f"has {have} bytes of samples, {size} has {need}", mend)
     data = np.fromfile(path, np.uint8, offset=config.offset)
+    samples: NDArray[Any]
     if group:
         samples = unpacked(data, bits, match[3].lower(), count)
     elif bits == 8:

@@ -41,7 +41,8 @@ class PartsInput:
         """`image` stays open until close(). The pages have one size."""
         import OpenImageIO as oiio
 
-        self._image, self._pages, self._whole = image, list(pages), {}
+        self._image, self._pages = image, list(pages)
+        self._whole: dict[tuple[int, str], NDArray[Any]] = {}
         image.seek_subimage(pages[0].subimage, 0)
         first = image.spec()
         names = tuple(name for page in pages for name in page.names)

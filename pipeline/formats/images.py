@@ -31,8 +31,10 @@ def _oiio():
 
 
 def _open(path: Path, page: Page | None = None, unassociated: bool = False) -> Any:
-    """An open image: one `page` of a file of several, or what they mean together (`pipeline.formats.image_parts`); `unassociated`:
-    alpha not multiplied into colour, as PNG stores it. Raises UserError."""
+    """An open image: one `page` of a file of several, or what they mean together (`pipeline.formats.image_parts`).
+
+    `unassociated`: alpha not multiplied into colour, as PNG stores it. Raises UserError.
+    """
     from pipeline.formats.bare_arrays import ARRAY_SUFFIXES, open_array
     from pipeline.formats.image_parts import chosen
 

@@ -39,7 +39,8 @@ def assemble(
     facts: tuple[str, ...] = (),
     warned: tuple[str, ...] = (),
 ) -> Capture:
-    """The Capture of `views` (`warned`: what was found while reading them); without given cameras a COLMAP model beside the images is used. Raises UserError."""
+    """The Capture of `views` (`warned`: words on what was found in their files); without given cameras a COLMAP model beside
+    the images is used. Raises UserError."""
     warnings = list(warned)
     colmap = None
     if cameras is None:

@@ -22,8 +22,8 @@ from pipeline.capture.pixels.stokes_files import finished, holds_stokes, is_verb
 from pipeline.capture.pixels.stokes_frame import apply_stokes_config
 from pipeline.capture.radiometry.found import understand
 from pipeline.errors import UserError
-from pipeline.formats.images import channel_names, image_size
 from pipeline.formats.image_parts import Page
+from pipeline.formats.images import channel_names, image_size
 
 NO_CARRIERS = "mosaic.order has no crossed polarisers on the diagonals: each angle is interpolated on its own, less exactly"
 
@@ -140,13 +140,8 @@ def _mosaics(groups: list[Group], config: CaptureConfig, camera_of: Camera_of) -
         ViewSource(g.view, g.paths, camera_of(g), _mosaic_loader(g, known.config, colour), size_of(g.paths[0])) for g in groups
     )
     order = " ".join(f"{a:g}" for a in config.mosaic.order[:2]) + " / " + " ".join(f"{a:g}" for a in config.mosaic.order[2:])
-    return Sources(
-        "mosaic",
-        views,
-        tuple(groups),
-        (f"polariser mosaic {order} ({'quad-Bayer ' + config.mosaic.bayer if colour == 'bayer' else 'monochrome'})", *known.facts),
-        known.warnings,
-    )
+    what = f"polariser mosaic {order} ({'quad-Bayer ' + config.mosaic.bayer if colour == 'bayer' else 'monochrome'})"
+    return Sources("mosaic", views, tuple(groups), (what, *known.facts), known.warnings)
 
 
 def _colour_loader(group: Group, config: CaptureConfig) -> Callable[[], DecodedView]:

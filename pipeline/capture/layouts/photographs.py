@@ -45,7 +45,9 @@ def read(root: Path, config: CaptureConfig) -> Capture:
     sources = discover(paths, folder, config, lambda g: folder_camera(g.paths, folder, config), kind="colour")
     polarisation: Literal["stokes", "polarisers", "none"]
     polarisation = "stokes" if sources.holds_stokes else "polarisers" if config.polarisers else "none"
-    return assemble(root, "photographs", config, folder, sources.views, polarisation, facts=sources.facts, warned=sources.warnings)
+    return assemble(
+        root, "photographs", config, folder, sources.views, polarisation, facts=sources.facts, warned=sources.warnings
+    )
 
 
 LAYOUT = Layout("photographs", "images/ with photographs or camera raw files, a COLMAP model if there is one", recognise, read)

@@ -7,7 +7,6 @@ import os
 from pathlib import Path
 from typing import Any, Literal
 
-from pipeline.formats.bare_arrays import ARRAY_SUFFIXES
 from pipeline.capture.assembly.assemble import find_plates
 from pipeline.capture.assembly.sources import discover
 from pipeline.capture.config import CaptureConfig
@@ -27,6 +26,7 @@ from pipeline.capture.naming.files import (
 )
 from pipeline.capture.naming.grouping import Group
 from pipeline.errors import UserError
+from pipeline.formats.bare_arrays import ARRAY_SUFFIXES
 from pipeline.formats.images import channel_names, image_size
 from pipeline.geometry.cameras import Camera, camera_from_frame
 

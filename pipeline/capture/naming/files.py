@@ -6,10 +6,10 @@ import os
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
-from pipeline.formats.bare_arrays import ARRAY_SUFFIXES
 from pipeline.capture.config import CaptureConfig
 from pipeline.capture.model import PolariserPrior, ViewSource
 from pipeline.errors import UserError
+from pipeline.formats.bare_arrays import ARRAY_SUFFIXES
 from pipeline.formats.images import image_size
 
 FLOAT_SUFFIXES = frozenset({".exr", ".hdr"})

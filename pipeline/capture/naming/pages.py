@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.formats.bare_arrays import ARRAY_SUFFIXES, open_array
 from pipeline.capture.config import CaptureConfig
 from pipeline.capture.naming.grouping import ANGLE_ALONE, turned
 from pipeline.errors import UserError
-from pipeline.formats.images import _oiio, _open, srgb_decode
+from pipeline.formats.bare_arrays import ARRAY_SUFFIXES, open_array
 from pipeline.formats.image_parts import MAY_HOLD_SEVERAL, SPLIT, Page, layers, pages_of
+from pipeline.formats.images import _oiio, _open, srgb_decode
 
 USUAL = (0.0, 45.0, 90.0, 135.0)
 """Degrees of four pages in their order, as polarisation cameras' viewers save them."""

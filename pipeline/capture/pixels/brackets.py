@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.capture.config import RadiometryConfig
-from pipeline.capture.radiometry.exposure import seconds_told
 from pipeline.capture.naming.grouping import Exposure
 from pipeline.capture.pixels.linear import LinearImage, read_linear
+from pipeline.capture.radiometry.exposure import seconds_told
 from pipeline.errors import UserError
 
 READ_NOISE = 2e-3

@@ -12,8 +12,8 @@ from pipeline.capture.config import RadiometryConfig
 from pipeline.capture.naming.files import FLOAT_SUFFIXES
 from pipeline.errors import UserError
 from pipeline.formats.exr_zip import open_zip_exr
-from pipeline.formats.images import _first_line, _open, srgb_decode
 from pipeline.formats.image_parts import Page
+from pipeline.formats.images import _first_line, _open, srgb_decode
 
 ROWS = 32
 """Two of EXR's zip blocks: a band of nine half floats 4000 pixels wide is 2.3 MB."""

@@ -1,4 +1,4 @@
-"""Sensor codes of fewer bits in 16-bit files: 12 bits end at 4095 (or, moved to the top, at 65520), and clipping piles up there."""
+"""Sensor codes of fewer bits in 16-bit files: 12 bits end at 4095 (moved to the top: 65520), and clipping piles up there."""
 
 from __future__ import annotations
 

@@ -40,6 +40,10 @@ class HeaderExposure:
                 ratio *= (mine / theirs) ** power
         return ratio
 
+    def tells(self) -> tuple[bool, bool, bool]:
+        """Whether seconds, ISO and f-number are there."""
+        return bool(self.seconds), bool(self.iso), bool(self.f_number)
+
     def spoken(self) -> str:
         """As photographers write it."""
         parts = [f"{self.seconds:g} s" if self.seconds else "", f"ISO {self.iso:g}" if self.iso else ""]
@@ -108,7 +112,7 @@ def even_out(
     paths = sorted(told, key=lambda p: ratios[p])
     low, high = paths[0], paths[-1]
     span = f"{told[low].spoken()} to {told[high].spoken()}"
-    silent = [p for p in told if any(bool(getattr(told[p], n)) != bool(getattr(reference, n)) for n in ("seconds", "iso", "f_number"))]  # fmt: skip
+    silent = [p for p, exposure in told.items() if exposure.tells() != reference.tells()]
     if silent:
         line = (
             f"{low}: exposures differ between headers ({span}), and {count(silent, 'file')} ({some(p.name for p in silent)}) "
@@ -118,9 +122,9 @@ def even_out(
         return ExposureFindings({}, warnings=(line,))
     if radiometry.exif_exposure is None and _contradicted(paths, ratios, brightness):
         line = (
-            f"{low}: exposures differ by {ratios[high] / ratios[low]:.3g} between headers ({span}), but the pictures are equally "
-            "bright, as if that had been evened out already: nothing is divided out; check, and say which in capture.toml: "
-            "radiometry.exif_exposure = true (divide) or false"
+            f"{low}: exposures differ by {ratios[high] / ratios[low]:.3g} between headers ({span}), but the pictures are "
+            "equally bright, as if that had been evened out already: nothing is divided out; check, and say which in "
+            "capture.toml: radiometry.exif_exposure = true (divide) or false"
         )
         return ExposureFindings({}, warnings=(line,))
     fact = f"exposures of {span} in the headers are divided out (as if all had {reference.spoken()})"

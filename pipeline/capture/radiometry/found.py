@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.capture.angle_stack.solve import polariser_design
-from pipeline.capture.radiometry.code_range import code_range, moved_up, some_of
 from pipeline.capture.config import CaptureConfig, RadiometryConfig
-from pipeline.capture.radiometry.encoding import find_encoding, impossible_share, mosaic_codes, stack_codes
-from pipeline.capture.radiometry.exposure import HeaderExposure, check_names, even_out, exposure_of, read_exposure
 from pipeline.capture.naming.files import RAW_SUFFIXES, count, some
 from pipeline.capture.naming.grouping import Exposure, Group
+from pipeline.capture.radiometry.code_range import code_range, moved_up, some_of
+from pipeline.capture.radiometry.encoding import find_encoding, impossible_share, mosaic_codes, stack_codes
+from pipeline.capture.radiometry.exposure import HeaderExposure, check_names, even_out, exposure_of, read_exposure
 from pipeline.errors import UserError
 from pipeline.formats.images import _open, srgb_decode
 
@@ -63,7 +63,8 @@ def understand(groups: Sequence[Group], config: CaptureConfig, kind: str, bayer:
         check_names(radiometry.exposure_s, names, config.path or Path("capture.toml"))
     single = {e.path: e for g in groups for es in g.angles.values() if len(es) == 1 for e in es}
     headers = {path: _header(e) for path, e in single.items()}
-    exposures = even_out({p: h.exposure for p, h in headers.items()}, radiometry, lambda p: _brightness(single[p], config, kind))
+    told = {path: header.exposure for path, header in headers.items()}
+    exposures = even_out(told, radiometry, lambda path: _brightness(single[path], config, kind))
     found = FoundRadiometry(**{f.name: getattr(radiometry, f.name) for f in fields(radiometry)}, factors=exposures.factors)
     facts, warnings = [*exposures.facts], [*exposures.warnings]
     files = [(e.path, e) for g in groups for es in g.angles.values() for e in es if e.path.suffix.lower() not in RAW_SUFFIXES]
@@ -137,10 +138,15 @@ def _white_level(files: Sequence[Exposure]) -> tuple[float | None, list[str]]:
     if found is None:
         return (moved_up(used) if used else None), []
     line = (
-        f"{files[0].path}: codes of these 16-bit files end at {found.white_level:g}, which {found.clipped} samples have: they are "
-        f"taken as {found.bits}-bit codes, clipped there; say so in capture.toml: radiometry.white_level = {found.white_level:g}"
+        f"{files[0].path}: codes of these 16-bit files end at {found.white_level:g}, which {found.clipped} samples have: they "
+        f"are taken as {found.bits}-bit codes, clipped there; say so in capture.toml: "
+        f"radiometry.white_level = {found.white_level:g}"
     )
     return found.white_level, [line]
+
+
+def _is_raw(group: Group) -> bool:
+    return any(path.suffix.lower() in RAW_SUFFIXES for path in group.paths)
 
 
 def _spread(keys: list, samples_each: int) -> list:
@@ -152,7 +158,7 @@ def _encodings(
     groups: Sequence[Group], config: CaptureConfig, kind: str, bayer: bool, eight: bool
 ) -> tuple[dict[Path, str], list[str]]:
     """Encodings by file where the angles tell another one than the usual, with the word for it."""
-    usable = [g for g in groups if all(len(es) == 1 and es[0].path.suffix.lower() not in RAW_SUFFIXES for es in g.angles.values())]
+    usable = [g for g in groups if all(len(es) == 1 for es in g.angles.values()) and not _is_raw(g)]
     if not usable:
         return {}, []
     usual = "srgb" if eight and kind == "stack" else "linear"
@@ -175,7 +181,7 @@ def _encodings(
     which = "these files" if whole else count(chosen, "of these files") if kind == "mosaic" else count(chosen, "of these views")
     named = "" if whole else f" ({some(g.view for g in chosen)})"
     line = (
-        f"{chosen[0].paths[0]}: the codes of {which}{named} keep I0 + I90 = I45 + I135, or a degree of polarisation of at most 1, "
+        f"{chosen[0].paths[0]}: the codes of {which}{named} keep the law of polarisers (I0 + I90 = I45 + I135, DoLP at most 1) "
         f"as {words[other]} and not as {words[usual]}: read as {words[other]}; "
         + (f'say so in capture.toml: radiometry.encoding = "{other}"' if whole
            else f'keep them in a capture of their own, with radiometry.encoding = "{other}" in its capture.toml')
