@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import os
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
-from pipeline.capture.config import load_config
+from pipeline.capture.config import RadiometryConfig, load_config
 from pipeline.capture.layouts import all_layouts
 from pipeline.capture.model import Capture
 from pipeline.capture.naming.files import UNREADABLE, some
 from pipeline.errors import UserError
 
+ARRAYS = frozenset({"rmvp3d", "smvp3d"})
+"""Layouts of NumPy files that hold Stokes vectors in radiance."""
 SHOWN = 12
 """Entries of an unknown folder that its error message lists."""
 
@@ -56,10 +58,27 @@ def open_capture(path: Path | str) -> Capture:
 
 
 def _with_foreign_files(capture: Capture) -> Capture:
-    """The capture with a warning for files among its images that nobody here can read (R3D, BRAW, HEIC, video)."""
+    """The capture, with a warning for files among its images that nobody here can read (R3D, BRAW, HEIC, video). Raises
+    UserError where capture.toml names a dark frame or flat field that is not there."""
+    _check_references(capture)
     folders = sorted({path.parent for view in capture.views for path in view.paths})
     foreign = sorted(p for f in folders for p in f.iterdir() if p.suffix.lower() in UNREADABLE and not p.name.startswith("."))
     if not foreign:
         return capture
     line = f"{foreign[0].parent}: left out {some(p.name for p in foreign)}: {UNREADABLE[foreign[0].suffix.lower()]}"
     return replace(capture, warnings=(*capture.warnings, line))
+
+
+def _check_references(capture: Capture) -> None:
+    """Raise UserError where capture.toml names a dark frame or flat field that is not there, or that nothing would use."""
+    radiometry = capture.config.radiometry
+    toml = capture.config.path or capture.root / "capture.toml"
+    if capture.layout in ARRAYS and radiometry != RadiometryConfig():
+        told = [f.name for f in fields(radiometry) if getattr(radiometry, f.name) != getattr(RadiometryConfig(), f.name)]
+        raise UserError(toml, f"radiometry.{told[0]} is not used: {capture.layout} files hold Stokes vectors", "take it out")
+    below = {p.parent for view in capture.views for p in view.paths} | {capture.root}
+    folders = {f for folder in below for f in (folder, *folder.parents) if f.is_relative_to(capture.root)}
+    for key in ("dark_frame", "flat_field"):
+        name = getattr(radiometry, key)
+        if name is not None and not any((folder / name).is_file() for folder in folders):
+            raise UserError(toml, f"radiometry.{key} = {name!r} is not there", "give its path relative to the capture")

@@ -96,14 +96,15 @@ class PartsInput:
         return bool(self._image.close())
 
 
-def chosen(image: Any, path: Path, page: Page | None = None) -> Any:
-    """`image` (an open ImageInput at its first subimage) itself where it holds one image under plain names, else a
-    PartsInput of the `page` asked for, or of what its parts and layers mean. Raises UserError where that is open."""
+def chosen(image: Any, path: Path, page: Page | None = None, plain: bool = False) -> Any:
+    """`image` (an open ImageInput at its first subimage) itself where it holds one image, else a PartsInput of the `page` asked
+    for, or of what its parts mean. `plain`: the layer that is the picture goes by R, G, B. Raises UserError where that is open.
+    """
     if page is not None:
         return PartsInput(image, [page])
     pages = pages_of(image, path)
     if len(pages) == 1:
-        names = _plain_names(pages[0].names, path)
+        names = plain_names(pages[0].names, path) if plain else pages[0].names
         if names == pages[0].names and pages[0].subimage == 0:
             image.seek_subimage(0, 0)
             return image
@@ -152,7 +153,7 @@ def _main_of(titles: Sequence[str]) -> list[int]:
     return [i for i, title in enumerate(titles) if title.lower().replace("/", ".").rpartition(".")[2] in MAIN]
 
 
-def _plain_names(names: tuple[str, ...], path: Path) -> tuple[str, ...]:
+def plain_names(names: tuple[str, ...], path: Path) -> tuple[str, ...]:
     """The names of one part's channels without the prefix of the layer that is its picture. Raises UserError."""
     lower = [name.lower() for name in names]
     if path.suffix.lower() != ".exr" or {"r", "g", "b"} <= set(lower) or not any("." in name for name in names):
@@ -202,7 +203,7 @@ def _meant(pages: list[Page], path: Path) -> list[Page]:
     if len(main) != 1:
         return _refused(pages, path)
     page = coloured[main[0]]
-    return [Page(page.subimage, page.channels, _plain_names(page.names, path))]
+    return [Page(page.subimage, page.channels, plain_names(page.names, path))]
 
 
 def _qualified(page: Page) -> Page:

@@ -30,10 +30,11 @@ def _oiio():
     return oiio
 
 
-def _open(path: Path, page: Page | None = None, unassociated: bool = False) -> Any:
+def _open(path: Path, page: Page | None = None, unassociated: bool = False, plain: bool = False) -> Any:
     """An open image: one `page` of a file of several, or what they mean together (`pipeline.formats.image_parts`).
 
-    `unassociated`: alpha not multiplied into colour, as PNG stores it. Raises UserError.
+    `unassociated`: alpha not multiplied into colour, as PNG stores it; `plain`: the layer that is the picture goes by R, G, B.
+    Raises UserError.
     """
     from pipeline.formats.bare_arrays import ARRAY_SUFFIXES, open_array
     from pipeline.formats.image_parts import chosen
@@ -45,7 +46,7 @@ def _open(path: Path, page: Page | None = None, unassociated: bool = False) -> A
     if path.suffix.lower() == ".png":
         refuse_truncated(path)
     if path.suffix.lower() in ARRAY_SUFFIXES:
-        return chosen(open_array(path), path, page)
+        return chosen(open_array(path), path, page, plain)
     how = _oiio().ImageSpec()
     if unassociated:
         how.attribute("oiio:UnassociatedAlpha", 1)
@@ -53,7 +54,7 @@ def _open(path: Path, page: Page | None = None, unassociated: bool = False) -> A
     if image is None:
         raise UserError(path, f"cannot be read as an image ({_first_line(_oiio().geterror())})", "copy it again or remove it")
     try:
-        return chosen(image, path, page)
+        return chosen(image, path, page, plain)
     except UserError:
         image.close()
         raise
@@ -72,8 +73,8 @@ def image_size(path: str | Path, page: Page | None = None) -> tuple[int, int]:
 
 
 def channel_names(path: str | Path) -> list[str]:
-    """Channel names in file order, from the header alone. Raises UserError."""
-    image = _open(Path(path))
+    """Channel names in file order, from the header alone, R, G, B for the layer that is the picture. Raises UserError."""
+    image = _open(Path(path), plain=True)
     names = list(image.spec().channelnames)
     image.close()
     return names
@@ -103,12 +104,17 @@ def read_image(path: str | Path, channels: Sequence[str] | None = None) -> np.nd
 
     Integer files are scaled to 0..1 by their type's maximum. Raises UserError.
     """
+    from pipeline.formats.image_parts import plain_names
+
     path = Path(path)
     pixels, names, _ = read_stored(path)
     if channels is None:
         return pixels
     lower = [name.lower() for name in names]
     missing = [c for c in channels if c.lower() not in lower]
+    if missing:
+        lower = [name.lower() for name in plain_names(tuple(names), path)]
+        missing = [c for c in channels if c.lower() not in lower]
     if missing:
         raise UserError(path, f"no channel {', '.join(missing)} (it has {', '.join(names)})", "export it with these channels")
     return np.stack([pixels[..., lower.index(c.lower())] for c in channels], -1)

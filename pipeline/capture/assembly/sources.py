@@ -62,9 +62,9 @@ def discover(paths: list[Path], folder: Path, config: CaptureConfig, camera_of: 
             raise UserError(odd[0], f"holds no Stokes channels while {len(stokes)} other images do", "export every image alike")
         groups = group_files(paths, folder, config, stacks=False)
         known = understand(groups, config, "colour")
+        loaders = [stokes_exr_loader(g.paths[0], known.config, g.view) for g in groups]
         views = tuple(
-            ViewSource(g.view, g.paths, camera_of(g), stokes_exr_loader(g.paths[0], known.config), image_size(g.paths[0]))
-            for g in groups
+            ViewSource(g.view, g.paths, camera_of(g), loader, image_size(g.paths[0])) for g, loader in zip(groups, loaders)
         )
         refuse_duplicates((g.view, p) for g in groups for p in g.paths)
         return Sources("stokes_files", views, tuple(groups), known.facts, known.warnings)

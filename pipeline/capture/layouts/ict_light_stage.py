@@ -12,12 +12,12 @@ import numpy as np
 
 from pipeline.capture.config import CaptureConfig
 from pipeline.capture.layouts import Layout
+from pipeline.capture.layouts.frame_numbers import numbered_frames
 from pipeline.capture.model import Capture, LightStage, LightStageCamera, LightTable
 from pipeline.errors import UserError
 from pipeline.geometry.cameras import OPENGL_FROM_OPENCV, Camera
 
 LEADING_FRAMES = 2  # a pass begins with two frames under all lights (tracking), then one frame a light
-IMAGES = (".exr", ".hdr", ".png", ".tif", ".tiff")
 PASSES = ("cross", "parallel")
 
 
@@ -44,6 +44,7 @@ def read(root: Path, config: CaptureConfig) -> Capture:
     for camera in cameras.values():
         files += [*camera.cross, *camera.parallel, *([camera.mask] if camera.mask else [])]
     files += [root / "capture.toml"] if config.path is not None else []
+    files += [root / name for name in (config.radiometry.dark_frame, config.radiometry.flat_field) if name]
     environments = sorted(p for p in (root / "envmaps").glob("*") if p.suffix.lower() in (".hdr", ".exr"))
     facts: list[str] = []
     extra = {len(camera.full_light) for camera in cameras.values()} - {0}
@@ -71,6 +72,7 @@ def _camera_folders(root: Path) -> list[Path]:
 
 
 def _camera(root: Path, folder: Path, lights: LightTable, table: Path, config: CaptureConfig) -> LightStageCamera:
+    from pipeline.capture.assembly.sources import size_of
     from pipeline.formats.images import image_size
 
     passes = {}
@@ -80,7 +82,7 @@ def _camera(root: Path, folder: Path, lights: LightTable, table: Path, config: C
                 folder / name, "is missing: a camera needs both passes", "add the frames, or remove the camera's folder"
             )
         passes[name] = light_frames(folder / name, len(lights), table)
-    sizes = {name: image_size(frames[0][0]) for name, frames in passes.items()}
+    sizes = {name: size_of(frames[0][0]) for name, frames in passes.items()}
     if sizes["cross"] != sizes["parallel"]:
         fault = f"is {sizes['parallel']} pixels, the cross pass {sizes['cross']}"
         raise UserError(passes["parallel"][0][0], fault, "export both passes at one size")
@@ -102,16 +104,7 @@ def light_frames(folder: Path, lights: int, table: Path) -> tuple[tuple[Path, ..
     begins at 0 is whole or has no leading frames: a table that is a few rows short must not shift the lights by two.
     Raises UserError when frames are missing, empty, or their number does not fit the table.
     """
-    found: dict[int, Path] = {}
-    for path in sorted(p for p in folder.iterdir() if p.suffix.lower() in IMAGES and not p.name.startswith(".")):
-        digits = re.findall(r"\d+", path.stem)
-        if not digits:
-            raise UserError(path, "has no frame number in its name", "name frames by number, as 000002.exr")
-        if int(digits[-1]) in found:
-            raise UserError(path, f"has the same frame number as {found[int(digits[-1])].name}", "keep one of the two")
-        found[int(digits[-1])] = path
-    if not found:
-        raise UserError(folder, "holds no frame", "add the frames, or remove the camera's folder")
+    found = numbered_frames(folder)
     last = max(found)
     if min(found) == 0 and last == lights - 1:
         first = 0

@@ -35,12 +35,12 @@ class LinearReader:
 
         radiometry = for_file(radiometry, path)
         self.path, self.radiometry = path, radiometry
-        self._image = _open(path, page)
+        self._image = _open(path, page, plain=True)
         spec = self._image.spec()
         self.bits = {"uint8": 8, "uint16": 16, "uint32": 32}.get(str(spec.format), 0)
         if self.bits and "A" in spec.channelnames:
             self._image.close()
-            self._image = _open(path, page, unassociated=True)
+            self._image = _open(path, page, unassociated=True, plain=True)
         self.names = tuple(spec.channelnames)
         self.size = (spec.width, spec.height)
         self.orientation = int(spec.get_int_attribute("Orientation", 1)) if path.suffix.lower() != ".hdr" else 1

@@ -14,6 +14,7 @@ from pipeline.capture.config import CaptureConfig, RadiometryConfig, StokesConfi
 from pipeline.capture.model import DecodedView
 from pipeline.capture.pixels.linear import LinearImage, fill_holes, read_linear
 from pipeline.capture.pixels.stokes_frame import apply_stokes_config
+from pipeline.capture.radiometry.exposure import seconds_told
 from pipeline.capture.radiometry.found import factor_of
 from pipeline.errors import UserError
 from pipeline.formats.images import STOKES
@@ -37,12 +38,16 @@ def stokes_of(image: LinearImage, path: Path) -> NDArray[np.float32]:
     return flat.reshape(*flat.shape[:2], 3, 3)
 
 
-def stokes_exr_loader(path: Path, config: CaptureConfig) -> Callable[[], DecodedView]:
-    """A loader of one Stokes EXR."""
+def stokes_exr_loader(path: Path, config: CaptureConfig, view_name: str | None = None) -> Callable[[], DecodedView]:
+    """A loader of one Stokes EXR (`view_name`: its VIEW)."""
 
     def load() -> DecodedView:
         image = read_linear(path, replace(config.radiometry, encoding="linear"))
         stokes = apply_stokes_config(stokes_of(image, path), config.stokes)
+        if seconds := seconds_told(path, view_name, config.radiometry.exposure_s):
+            stokes /= np.float32(seconds)
+        if config.radiometry.white_balance:
+            stokes *= np.asarray(config.radiometry.white_balance, np.float32)
         view = finished(DecodedView(stokes=stokes, saturated=image.saturated, alpha=image.alpha), path)
         if config.stokes == StokesConfig() and is_verbatim(view, image, path, STOKES, config):
             view.verbatim = path
