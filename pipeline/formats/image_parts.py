@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from pipeline.errors import UserError
 
-MAY_HOLD_SEVERAL = frozenset({".exr", ".tif", ".tiff", ".gif", ".webp"})
+MAY_HOLD_SEVERAL = frozenset({".exr", ".tif", ".tiff", ".gif", ".webp", ".npy", ".raw"})
 MAIN = frozenset({"", "rgba", "rgb", "combined", "beauty", "color", "colour", "image", "main", "composite"})
 """What programs call the picture itself among its layers or parts."""
 REDUCED_OR_MASK = 1 | 4

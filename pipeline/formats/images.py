@@ -80,9 +80,10 @@ def channel_names(path: str | Path) -> list[str]:
     return names
 
 
-def read_stored(path: Path) -> tuple[np.ndarray, list[str], str]:
-    """(pixels float32 [H, W, C], channel names, format on disk such as "half"). Raises UserError."""
-    image = _open(path)
+def read_stored(path: Path, plain: bool = False) -> tuple[np.ndarray, list[str], str]:
+    """(pixels float32 [H, W, C], channel names, format on disk such as "half"); `plain`: R, G, B for the layer that is the
+    picture. Raises UserError."""
+    image = _open(path, plain=plain)
     spec = image.spec()
     pixels = image.read_image("float")
     error = _first_line(image.geterror()) if pixels is None else ""

@@ -35,7 +35,7 @@ class LinearReader:
 
         radiometry = for_file(radiometry, path)
         self.path, self.radiometry = path, radiometry
-        self._image = _open(path, page, plain=True)
+        self._image = _open(path, page, unassociated=page is not None, plain=True)
         spec = self._image.spec()
         self.bits = {"uint8": 8, "uint16": 16, "uint32": 32}.get(str(spec.format), 0)
         if self.bits and "A" in spec.channelnames:

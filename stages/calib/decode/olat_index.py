@@ -13,7 +13,7 @@ from pipeline.capture import LightStage, LightStageCamera
 from pipeline.capture.naming.files import some
 from pipeline.engine.stage import StageRun
 from pipeline.errors import UserError
-from pipeline.formats.images import read_image
+from pipeline.formats.images import read_image, read_stored
 from pipeline.geometry.cameras import opengl_from_camera
 from pipeline.rig.frame_files import IN_DECODE
 from stages.calib.decode.linear_stage_frames import LinearFrames, radiometry_of, write_linear
@@ -50,7 +50,10 @@ def _looked_at(stage: StageRun, light_stage: LightStage) -> LinearFrames:
 
     def look(item: tuple[LightStageCamera, Path]) -> tuple[Path, np.ndarray, int]:
         camera, path = item
-        pixels = read_image(path)
+        pixels, names, _ = read_stored(path, plain=True)
+        lower = [name.lower() for name in names]
+        if len(lower) > 3 and {"r", "g", "b"} <= set(lower):
+            pixels = pixels[..., [lower.index(c) for c in "rgb"]]
         if pixels.shape[:2] != (camera.camera.height, camera.camera.width):
             have, want = f"{pixels.shape[1]}x{pixels.shape[0]}", f"{camera.camera.width}x{camera.camera.height}"
             fault = f"is {have}, the camera's other frames {want}"
