@@ -1,4 +1,4 @@
-"""Light-stage frames heed capture.toml and their headers as all images do, and stay where they are when there is nothing to do."""
+"""Light-stage frames heed capture.toml and their headers as all images do, and stay where they are where nothing is to do."""
 
 import json
 
@@ -82,7 +82,7 @@ def test_eight_bits_are_srgb_and_that_is_said(run_stages, tmp_path, suffix):
 
 def test_eight_bits_told_to_be_linear(run_stages, tmp_path):
     root = build(tmp_path / "c", "png", lambda x, k, n: codes(x, 8), 'radiometry.encoding = "linear"\n')
-    index, folder, warnings = decoded(run_stages, root, tmp_path)
+    _, folder, warnings = decoded(run_stages, root, tmp_path)
     assert folder == root and "taken as linear" in warnings[0]
 
 

@@ -140,7 +140,7 @@ def _usual(told: Mapping[Path, HeaderExposure]) -> HeaderExposure:
     return usual[(len(usual) - 1) // 2]
 
 
-LOOKED_AT = 12
+LOOKED_AT = 8
 
 
 def _contradicted(paths: Sequence[Path], ratios: Mapping[Path, float], brightness: Callable[[Path], float | None]) -> bool:

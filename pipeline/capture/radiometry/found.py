@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,9 @@ from pipeline.capture.radiometry.encoding import find_encoding, impossible_share
 from pipeline.capture.radiometry.exposure import HeaderExposure, check_names, even_out, exposure_of, read_exposure
 from pipeline.errors import UserError
 from pipeline.formats.images import _open, srgb_decode
+
+if TYPE_CHECKING:
+    from pipeline.capture.pixels.linear import LinearImage
 
 
 @dataclass(frozen=True)
@@ -191,11 +195,9 @@ def _encodings(
 
 def _encoding_of(group: Group, config: CaptureConfig, kind: str, bayer: bool, usual: str) -> str | None:
     """What one view's codes tell; None where they do not."""
-    from pipeline.capture.pixels.linear import read_linear
-
     plain = replace(config.radiometry, encoding="linear", dark_frame=None, flat_field=None, factors={}, encodings={})  # type: ignore[call-arg]
     try:
-        images = [read_linear(es[0].path, plain, True, es[0].page) for es in group.angles.values()]
+        images = [_some_rows(es[0], plain) for es in group.angles.values()]
         if kind == "mosaic":
             design = polariser_design(config.mosaic.order)
             codes = mosaic_codes(images[0].pixels[..., 0], bayer)
@@ -218,5 +220,31 @@ def _encoding_of(group: Group, config: CaptureConfig, kind: str, bayer: bool, us
     return None
 
 
+def _some_rows(exposure: Exposure, radiometry: RadiometryConfig) -> LinearImage:
+    """A picture's samples, of large ones bands of rows from top to bottom. Raises UserError."""
+    from pipeline.capture.pixels.linear import LinearImage
+    from pipeline.capture.pixels.row_bands import ROWS, LinearReader
+
+    reader = LinearReader(exposure.path, radiometry, True, exposure.page)
+    width, height = reader.size
+    starts = list(range(0, height, ROWS))
+    if width * height > LARGE:
+        starts = sorted({int(k) for k in np.linspace(0, len(starts) - 2, BANDS)})
+        starts = [k * ROWS for k in starts]
+    parts = []
+    try:
+        for start in starts:
+            stop = min(start + ROWS, height)
+            pixels = np.empty((stop - start, width, len(reader.names)), np.float32)
+            reader.fill(start, stop, pixels, np.empty(pixels.shape[:2], bool))
+            parts.append(pixels)
+    finally:
+        reader.close()
+    pixels = np.concatenate(parts)
+    return LinearImage(pixels, reader.names, np.zeros(pixels.shape[:2], bool), reader.bits)
+
+
+LARGE, BANDS = 1 << 20, 8
+"""Pixels above which bands of rows are looked at, and how many."""
 POSSIBLE = 0.02
 """Share of lit places that noise and edges may drive beyond a degree of polarisation of 1 (decode warns at 0.01 of all)."""
