@@ -10,11 +10,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pipeline.capture.config import RadiometryConfig
 from pipeline.capture.naming.files import RAW_SUFFIXES, count, some
 from pipeline.errors import UserError
 from pipeline.formats.images import _open
+
+Levels = NDArray[np.float64]
 
 SAME = 0.02
 """Relative difference below which two exposures are one: headers round shutter times and f-numbers to about 1 %."""
@@ -95,12 +98,12 @@ class ExposureFindings:
 
 
 def even_out(
-    told: Mapping[Path, HeaderExposure], radiometry: RadiometryConfig, brightness: Callable[[Path], float | None]
+    told: Mapping[Path, HeaderExposure], radiometry: RadiometryConfig, brightness: Callable[[Path], Levels | None]
 ) -> ExposureFindings:
     """Factors that undo differing exposures. None where all are equal, nothing is told, or exposure_s tells them.
 
-    Told by some files alone, or contradicted by the pixels (`brightness` of a file, None: unknown), they are not used, and
-    that is said. The usual exposure, which most files have, keeps its codes.
+    Told by some files alone, or contradicted by the pixels (`brightness`: percentiles of a file's light, None where unknown),
+    they are not used, and that is said. The usual exposure, which most files have, keeps its codes.
     """
     if radiometry.exposure_s or radiometry.exif_exposure is False or len(told) < 2:
         return ExposureFindings({})
@@ -141,18 +144,27 @@ def _usual(told: Mapping[Path, HeaderExposure]) -> HeaderExposure:
 
 
 LOOKED_AT = 8
+ENOUGH = 4
+"""Files among which no percentile stays alike by chance."""
+DARKEST, BRIGHTEST = 0.005, 0.5
+"""Percentiles beyond are noise, or pressed together by tone curves and clipping, whatever the exposure."""
 
 
-def _contradicted(paths: Sequence[Path], ratios: Mapping[Path, float], brightness: Callable[[Path], float | None]) -> bool:
-    """Whether brightness (files sorted by exposure) does not follow the exposure: divided, it would vary far more."""
+def _contradicted(paths: Sequence[Path], ratios: Mapping[Path, float], brightness: Callable[[Path], Levels | None]) -> bool:
+    """Whether brightness (files sorted by exposure) does not follow the exposure: what hardly varies between files as they are
+    (a background, the object's dark side) would vary far more if they were divided."""
     spread = np.unique(np.linspace(0, len(paths) - 1, min(LOOKED_AT, len(paths))).round().astype(int))
-    chosen = [paths[k] for k in spread]
-    levels = [(brightness(p), ratios[p]) for p in chosen]
-    logs = np.log([(b, r) for b, r in levels if b is not None and b > 0])
-    if len(logs) < 2:
+    found = [(levels, ratios[p]) for p, levels in ((paths[k], brightness(paths[k])) for k in spread) if levels is not None]
+    if len(found) < 2:
         return False
-    before, after = logs[:, 0], logs[:, 0] - logs[:, 1]
-    return bool(after.std() > EVENED_OUT * before.std())
+    levels = np.array([level for level, _ in found])
+    kept = (np.median(levels, 0) > DARKEST) & (np.median(levels, 0) < BRIGHTEST) & (levels.min(0) > 0)
+    if not kept.any():
+        return False
+    logs = np.log(levels[:, kept])
+    before, after = logs.std(0), (logs - np.log([[ratio] for _, ratio in found])).std(0)
+    steadiest = float(before.min() if len(found) >= ENOUGH else before.max())
+    return bool(after.min() > EVENED_OUT * steadiest)
 
 
 def seconds_told(path: Path, view: str | None, exposure_s: Mapping[str, float]) -> float | None:

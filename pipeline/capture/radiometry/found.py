@@ -96,18 +96,18 @@ def _header(exposure: Exposure) -> _Header:
     return _Header({"uint8": 8, "uint16": 16}.get(str(spec.format), 0), exposure_of(spec))
 
 
-def _brightness(exposure: Exposure, config: CaptureConfig, kind: str) -> float | None:
-    """Mean of the middle of a picture in linear light; None where it cannot be read (its reader says why)."""
+def _brightness(exposure: Exposure, config: CaptureConfig, kind: str) -> NDArray[np.float64] | None:
+    """Percentiles of a picture's linear light; None where it cannot be read (its reader says why)."""
     from pipeline.capture.pixels.linear import read_linear
 
     try:
         pixels = read_linear(exposure.path, config.radiometry, kind == "mosaic", exposure.page).pixels
     except UserError:
         return None
-    height, width = pixels.shape[:2]
-    middle = pixels[height // 4 : height - height // 4, width // 4 : width - width // 4, :3]
-    mean = float(np.nanmean(middle)) if middle.size else 0.0
-    return mean if np.isfinite(mean) else None
+    step = max(1, min(pixels.shape[:2]) // 512)
+    light = pixels[::step, ::step, :3].mean(-1, dtype=np.float64)
+    light = light[np.isfinite(light)]
+    return np.percentile(light, (10, 25, 50, 75, 90)) if light.size else None
 
 
 def _white_level(files: Sequence[Exposure]) -> tuple[float | None, list[str]]:
@@ -170,12 +170,15 @@ def _encodings(
     each = size.spec().width * size.spec().height * size.spec().nchannels * len(usable[0].angles)
     size.close()
     some_groups = _spread(usable, each)
-    told = {g.view: _encoding_of(g, config, kind, bayer, usual) for g in some_groups}
+    samples = {g.view: _codes_of(g, config, kind, bayer) for g in some_groups}
+    told = {view: _encoding_of(found, usual) for view, found in samples.items()}
+    other = "linear" if usual == "srgb" else "srgb"
+    if usual not in told.values() and other not in told.values() and _together(list(samples.values()), usual) == other:
+        told = dict.fromkeys(told, other)  # what no file tells alone
     if set(told.values()) <= {None, usual}:
         return {}, []
-    other = "linear" if usual == "srgb" else "srgb"
     if usual in told.values():  # not alike: each file that says so clearly
-        told |= {g.view: _encoding_of(g, config, kind, bayer, usual) for g in usable if g.view not in told}
+        told |= {g.view: _encoding_of(_codes_of(g, config, kind, bayer), usual) for g in usable if g.view not in told}
         chosen = [g for g in usable if told[g.view] == other]
     else:
         chosen = list(groups)
@@ -193,8 +196,11 @@ def _encodings(
     return encodings, [line]
 
 
-def _encoding_of(group: Group, config: CaptureConfig, kind: str, bayer: bool, usual: str) -> str | None:
-    """What one view's codes tell; None where they do not."""
+_Codes = tuple[NDArray[np.float32], NDArray[np.float64]]
+
+
+def _codes_of(group: Group, config: CaptureConfig, kind: str, bayer: bool) -> _Codes | None:
+    """One view's codes [n, P] and the design [n, 3] behind them; None where they cannot be read (their reader says why)."""
     plain = replace(config.radiometry, encoding="linear", dark_frame=None, flat_field=None, factors={}, encodings={})  # type: ignore[call-arg]
     try:
         images = [_some_rows(es[0], plain) for es in group.angles.values()]
@@ -209,7 +215,23 @@ def _encoding_of(group: Group, config: CaptureConfig, kind: str, bayer: bool, us
             codes = stack_codes(colours)
             design = design / np.array([[factor_of(config.radiometry, es[0].path)] for es in group.angles.values()])
     except UserError:
-        return None  # the reader says what is wrong
+        return None
+    return codes, design
+
+
+def _together(samples: Sequence[_Codes | None], usual: str) -> str | None:
+    """What the codes of several views behind one design tell together."""
+    there = [found for found in samples if found is not None]
+    if len(there) < 2 or any(not np.array_equal(design, there[0][1]) for _, design in there):
+        return None
+    return _encoding_of((np.concatenate([codes for codes, _ in there], 1), there[0][1]), usual)
+
+
+def _encoding_of(found: _Codes | None, usual: str) -> str | None:
+    """What codes tell; None where they do not."""
+    if found is None:
+        return None
+    codes, design = found
     finding = find_encoding(codes, design)
     if finding is not None and finding.encoding is not None:
         return finding.encoding
