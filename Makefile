@@ -57,7 +57,12 @@ lint: $(READY)  ## ruff and mypy
 
 bench: bench-rasterize bench-olat bench-train  ## all benchmarks; CAPTURES=folder of captures with ground truth
 
-bench-train bench-olat bench-rasterize: $(READY)
+# What the benchmarks alone need: plots and the solvers to compare with.
+$(VENV)/.bench: $(READY)
+	$(BIN)/python -m pip install --quiet --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[bench]'
+	@touch $@
+
+bench-train bench-olat bench-rasterize: $(VENV)/.bench
 	$(BIN)/python -m benchmarks.$(subst -,_,$@) $(if $(CAPTURES),--captures "$(CAPTURES)")
 
 clean:  ## caches and the demo; never a dataset

@@ -31,7 +31,7 @@ from stages.masks.background import segment
 from stages.masks.clean_plate import difference_mask
 from stages.masks.grabcut import grabcut_centre
 from stages.masks.matte import light_stage_matte
-from stages.masks.stage import MasksParameters
+from stages.masks.parameters import MasksParameters
 
 CAPTURES = ("homer-messy", "teapot-lebombo", "spot-venice", "ls-spot")
 LIGHT_STAGE = "ls-spot"

@@ -15,11 +15,11 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.olat_pixels import VIEW, make, rig_of, unit
 from pipeline.formats.images import read_mask, write_exr, write_mask
+from stages.olat.parameters import OlatParameters
 from stages.olat.reading.frame_reader import is_half, read_bands
 from stages.olat.reading.scanline_bands import bands_of
-from stages.olat.stage import OlatParameters
+from synth.olat_pixels import VIEW, make, rig_of, unit
 
 REPEATS = 5
 BASE = 2000  # pixels that a frame is drawn from, at random: as incompressible as noise makes real frames

@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.olat_forms import captures
-from benchmarks.olat_pixels import angle_deg
 from benchmarks.olat_settings import AT, SETTINGS
 from stages.olat.maps.footprint import with_neighbours
 from stages.olat.pixel_fit.many_pixels import fit
 from stages.olat.reading.scanline_bands import Band
+from synth.olat_pixels import angle_deg
 
 CASES = ((0.0, np.inf), (3e-3, 1.0), (1e-2, 1.0), (1e-2, 0.5), (3e-2, 2.0))
 """Standard deviation added to the stored samples, and their largest value."""

@@ -5,13 +5,19 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from stages.olat.zoo.solvers import library
+
 QUANTITIES = ("n_d", "rho_d", "n_s", "rho_s", "sigma")
 UNITS = {"n_d": "$n_d$", "rho_d": r"$\rho_d$", "n_s": "$n_s$", "rho_s": r"$\rho_s$", "sigma": r"$\sigma$"}
+MARKERS = {"jaxopt": "o", "optimistix": "^", "optax": "s"}
 FLOOR = 1e-12  # smallest norm drawn: a log axis has no 0
 
 
 def plot_solvers(record: dict[str, Any], path: Path) -> None:
-    """One panel a quantity: seconds a pixel against gradient norm; ours stars, jaxopt dots, PRF on its GPU crosses."""
+    """One panel a quantity: seconds a pixel against gradient norm.
+
+    Ours are stars, jaxopt's dots, optimistix's triangles, optax's squares, PRF's on its GPU crosses.
+    """
     import matplotlib
 
     matplotlib.use("Agg")
@@ -19,7 +25,7 @@ def plot_solvers(record: dict[str, Any], path: Path) -> None:
     from matplotlib.ticker import NullFormatter
 
     figure, axes = plt.subplots(1, 5, figsize=(20, 4.4), sharey=True)
-    colours = {name: f"C{k + 1}" for k, name in enumerate(record["theirs"])}
+    colours = {name: f"C{k % 9 + 1}" for k, name in enumerate(record["theirs"])}
     for axis, quantity in zip(axes, QUANTITIES):
         ours = record["ours"][quantity]
         axis.loglog(ours["seconds"], max(ours["gradient"], FLOOR), "*", color="k", ms=15, label="ours (closed), one thread")
@@ -29,7 +35,13 @@ def plot_solvers(record: dict[str, Any], path: Path) -> None:
         for name, cells in record["theirs"].items():
             if quantity in cells:
                 cell = cells[quantity]
-                axis.loglog(cell["seconds"], max(cell["gradient"], FLOOR), "o", color=colours[name], label=f"jaxopt {name}")
+                axis.loglog(
+                    cell["seconds"],
+                    max(cell["gradient"], FLOOR),
+                    MARKERS[library(name)],
+                    color=colours[name],
+                    label=name if name.startswith(library(name)) else f"jaxopt {name}",
+                )
         for name, published in record["published"].items():
             if quantity in published:
                 axis.loglog(
@@ -42,8 +54,8 @@ def plot_solvers(record: dict[str, Any], path: Path) -> None:
         axis.grid(alpha=0.3)
     axes[0].set_ylabel("gradient norm at the end")
     handles, names = axes[1].get_legend_handles_labels()
-    figure.legend(handles, names, loc="lower center", ncol=len(names), frameon=False)
-    figure.tight_layout(rect=(0, 0.07, 1, 1))
+    figure.legend(handles, names, loc="lower center", ncol=(len(names) + 1) // 2, frameon=False)
+    figure.tight_layout(rect=(0, 0.12, 1, 1))
     figure.savefig(path, dpi=100)
 
 

@@ -1,4 +1,4 @@
-"""PRF's Table 3 rerun: seconds a pixel and gradient norm at the end, jaxopt's solvers beside the closed forms."""
+"""PRF's Table 3 rerun: seconds a pixel and gradient norm at the end, published solvers beside the closed forms."""
 
 from __future__ import annotations
 
@@ -9,12 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.olat_pixels import Pixels, ward
 from benchmarks.olat_settings import AT, SETTINGS, timed
 from stages.olat.pixel_fit.diffuse import fit_normal
 from stages.olat.pixel_fit.lobe_fit import linear_albedo
 from stages.olat.pixel_fit.many_pixels import fit
-from stages.olat.zoo.solvers import applies, scaled, solve
+from stages.olat.zoo.solvers import applies, solve
+from synth.olat_pixels import Pixels, ward
+from synth.olat_problems import gradient_norms, linear_gradient, problems
 
 PUBLISHED = {  # PRF Table 3, RTX A6000: seconds a pixel, gradient norm
     "lbfgs-backtracking": {"n_d": (1.54e-6, 3.60e-4), "rho_d": (1.63e-6, 3.73), "n_s": (1.75e-5, 2.02e-3),
@@ -41,71 +42,8 @@ class Cell:
     compile_s: float = 0.0
 
 
-def gradient_norms(quantity: str, x: np.ndarray, problem: dict[str, np.ndarray]) -> float:
-    """Mean gradient norm of PRF's objective in float64 at float32 answers, by central differences along the unknowns."""
-    step, total = 1e-6, []
-    for p in range(len(x)):
-        one = {k: np.asarray(v if k == "w" else v[p], float) for k, v in problem.items()}
-        norm = np.linalg.norm(one["data"] * one["use"])
-        one["data"] = one["data"] / norm if norm > 0 else one["data"]
-        at = np.asarray(x[p], float)
-        parts = []
-        for k in range(len(at)):
-            d = np.zeros_like(at)
-            d[k] = step
-            parts.append((objective(quantity, at + d, one) - objective(quantity, at - d, one)) / (2 * step))
-        total.append(np.linalg.norm(parts))
-    return float(np.mean(total))
-
-
-def objective(quantity: str, x: np.ndarray, p: dict[str, np.ndarray]) -> float:
-    """PRF's objectives in float64 numpy (the independent twin of stages.olat.zoo.objectives)."""
-    w, use, data = p["w"], p["use"], p["data"]
-    if quantity in ("n_d", "n_s"):
-        n = x / np.linalg.norm(x)
-        m = (w @ n if quantity == "n_d" else 2 * (w @ n) * (n @ p["o"]) - w @ p["o"]) * use
-        return 1 - m @ data / np.linalg.norm(m)
-    if quantity == "rho_d":
-        return 0.5 * np.sum(((x[0] * (w @ p["n_d"]) - data) * use) ** 2)
-    if quantity == "rho_s":
-        return 0.5 * np.sum(((x[0] * p["g"] - data) * use) ** 2)
-    h = w + p["o"]
-    h = h / np.linalg.norm(h, axis=1, keepdims=True)
-    s = np.exp(x)
-    m = np.exp(-2 * ((h @ p["t"] / s[0]) ** 2 + (h @ p["b"] / s[1]) ** 2) / (1 + h @ p["n_s"])) * use
-    return 0.5 * np.sum(((m / np.linalg.norm(m) - data) * use) ** 2)
-
-
-def problems(p: Pixels) -> tuple[dict[str, dict[str, np.ndarray]], dict[str, np.ndarray], np.ndarray]:
-    """PRF's five problems for these pixels at the true normals' active sets, their starts, and the diffuse samples."""
-    w = p.rig.directions
-    light = 2 * p.cross.mean(-1).T
-    shine = (2 * (p.parallel - p.cross)).mean(-1).T / np.pi
-    use = (p.normal @ w.T > 0).astype(float)
-    data_d, data_s = scaled(light, use)[0], scaled(shine, use)[0]
-    b = np.cross(p.normal, p.tangent)
-    h = w[None] + p.view[:, None]
-    h /= np.linalg.norm(h, axis=-1, keepdims=True)
-    x, y, z = (np.einsum("pni,pi->pn", h, v) for v in (p.tangent, b, p.normal))
-    g = np.exp(-2 * ((x / p.sigma[:, :1]) ** 2 + (y / p.sigma[:, 1:]) ** 2) / (1 + z)) * use
-    g /= np.linalg.norm(g, axis=1, keepdims=True)
-    base = {"w": w, "use": use}
-    found = {
-        "n_d": {**base, "data": data_d},
-        "rho_d": {**base, "data": data_d, "n_d": p.normal},
-        "n_s": {**base, "data": data_s, "o": p.view},
-        "rho_s": {**base, "data": data_s, "g": g},
-        "sigma": {**base, "data": data_s, "o": p.view, "n_s": p.normal, "t": p.tangent, "b": b},
-    }
-    n = (light * p.rig.solid_angle) @ w
-    m = (shine * p.rig.solid_angle) @ w
-    n, m = n / np.linalg.norm(n, axis=1, keepdims=True), m / np.linalg.norm(m, axis=1, keepdims=True) + p.view
-    one, two = np.zeros((len(n), 1)), np.full((len(n), 2), np.log(0.3))
-    return found, {"n_d": n, "rho_d": one, "n_s": m, "rho_s": one, "sigma": two}, light
-
-
 def table_theirs(p: Pixels, solvers: tuple[str, ...]) -> dict[str, dict[str, Cell]]:
-    """jaxopt's solvers on PRF's objectives. The first run's surplus over the second is their time to compile."""
+    """The solver zoo on PRF's objectives. The first run's surplus over the second is their time to compile."""
     found, starts, _ = problems(p)
     out: dict[str, dict[str, Cell]] = {}
     for solver in solvers:
@@ -130,7 +68,7 @@ def table_theirs(p: Pixels, solvers: tuple[str, ...]) -> dict[str, dict[str, Cel
 def report(solver: str, quantity: str, cell: Cell) -> None:
     """One line of the table."""
     print(
-        f"  {solver:20} {quantity:6} {cell.seconds:.2e} s a pixel, gradient {cell.gradient:.1e}, compile {cell.compile_s:.1f}",
+        f"  {solver:31} {quantity:6} {cell.seconds:.2e} s a pixel, gradient {cell.gradient:.1e}, compile {cell.compile_s:.1f}",
         flush=True,
     )
 
@@ -171,12 +109,6 @@ def table_ours(p: Pixels) -> dict[str, Cell]:
     for name, cell in out.items():
         report("ours (closed)", name, cell)
     return out
-
-
-def linear_gradient(x: np.ndarray, p: dict[str, np.ndarray]) -> float:
-    """Mean absolute gradient of `0.5 |x model - data|^2` over the lights in use: exact, not by differences."""
-    residual = (x * p["model"] - p["data"]) * p["use"]
-    return float(np.mean(np.abs(np.sum(residual * p["model"], 1))))
 
 
 def joint_gradients(p: Pixels, rows: np.ndarray) -> tuple[float, float]:

@@ -1,14 +1,39 @@
-"""The `polarfield` command."""
+"""The `polarfield` command: the command line of `pipeline`, over these stages."""
+
+from __future__ import annotations
 
 import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 
+from pipeline.capture import Capture
+from pipeline.engine.changes import State
+from pipeline.engine.cli import Program
 from pipeline.engine.cli import main as run_command
+from pipeline.engine.plan import Step
 from stages import STAGES
+
+
+def inspect(capture: Capture, steps: Sequence[Step], folder: Path, found: Mapping[str, State]) -> Path:
+    """Write the inspection page of a capture to `folder`; returns its path. Raises UserError."""
+    from pipeline.report.inspect import write_inspection
+    from stages.disk_estimate import disk_estimate
+
+    running = {step.stage.name for step in steps if step.decision.run}
+    return write_inspection(capture, steps, folder, found, disk_estimate(capture, running))
+
+
+PROGRAM = Program(STAGES, module="stages", report="metrics", inspect=inspect)
 
 
 def main() -> None:
     """Run `polarfield` with the arguments of this process."""
-    sys.exit(run_command(STAGES, sys.argv[1:]))
+    sys.exit(run_command(PROGRAM, sys.argv[1:]))
+
+
+def stage_main(name: str) -> None:
+    """Entry of `python -m stages.NAME`: one stage alone."""
+    sys.exit(run_command(PROGRAM, [name, *sys.argv[1:]]))
 
 
 if __name__ == "__main__":

@@ -11,6 +11,7 @@ from pipeline.engine.dataset import Dataset, Version
 from pipeline.engine.plan import Step, as_json
 from pipeline.engine.progress import brief
 from pipeline.engine.settings import Settings
+from pipeline.engine.stage import Stage
 
 Kind = Literal["skip", "run", "done", "again", "switch", "resume"]
 WORDS: dict[Kind, str] = {
@@ -186,7 +187,7 @@ def outlook(found: Mapping[str, State]) -> str:
     return f"to do: {', '.join(left)}"
 
 
-def keep_hint(last: Settings, now: Settings, found: Mapping[str, State], whole: bool) -> str:
+def keep_hint(last: Settings, now: Settings, found: Mapping[str, State], stages: Mapping[str, Stage], whole: bool) -> str:
     """How to call to keep what the last run was given, where this call lacks some of it and work follows from that.
 
     `whole`: the call means every stage; else the hint names only the stages that lose something.
@@ -194,7 +195,7 @@ def keep_hint(last: Settings, now: Settings, found: Mapping[str, State], whole: 
     busy = [name for name, state in found.items() if state.kind not in ("skip", "done")]
     lost = [n for n in busy if any(now.parameters.get(n, {}).get(k) != v for k, v in last.parameters.get(n, {}).items())]
     kept = {p.absolute() for p in now.environments}
-    dark = "relight" in busy and any(p.absolute() not in kept for p in last.environments)
+    dark = any(stages[name].environments for name in busy) and any(p.absolute() not in kept for p in last.environments)
     if not lost and not dark:
         return ""
     told = Settings(

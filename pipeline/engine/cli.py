@@ -7,7 +7,7 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -30,13 +30,29 @@ from pipeline.engine.settings import (
 from pipeline.engine.stage import Stage
 from pipeline.errors import UserError
 
-REPORT = "metrics"  # the stage whose output the report is
+Inspect = Callable[[Capture, Sequence[Step], Path, Mapping[str, State]], Path]
+"""Write what was understood of a capture to a folder, with a plan and how its steps stand; returns the page's path."""
+
+
+@dataclass(frozen=True)
+class Program:
+    """What a command line runs: this file knows no stage.
+
+    `modules`: each stage's module by its name, in running order. `module`: `python -m MODULE STAGE ...` runs one stage in
+    a process of its own. `report`: the stage whose output the report is. `inspect` writes the page of `inspect`.
+    """
+
+    modules: Mapping[str, str]
+    module: str
+    report: str
+    inspect: Inspect
 
 
 @dataclass(frozen=True)
 class Call:
     """One call of the command: its options, and what they come to."""
 
+    program: Program
     options: argparse.Namespace
     stages: Mapping[str, Stage]
     capture: Capture
@@ -51,10 +67,10 @@ class Call:
         return self.options.command
 
 
-def main(modules: Mapping[str, str], arguments: Sequence[str]) -> int:
+def main(program: Program, arguments: Sequence[str]) -> int:
     """Run one command; returns the exit status: 0 done, 2 a fault of input, 130 interrupted."""
     try:
-        return _run(modules, arguments)
+        return _run(program, arguments)
     except UserError as error:
         print(f"polarfield: {error}", file=sys.stderr)
         return 2
@@ -65,19 +81,12 @@ def main(modules: Mapping[str, str], arguments: Sequence[str]) -> int:
         return 0
 
 
-def stage_main(name: str) -> None:
-    """Entry of `python -m stages.NAME`."""
-    from stages import STAGES
-
-    sys.exit(main(STAGES, [name, *sys.argv[1:]]))
-
-
-def _run(modules: Mapping[str, str], arguments: Sequence[str]) -> int:
-    stages = load_stages(modules)
+def _run(program: Program, arguments: Sequence[str]) -> int:
+    stages = load_stages(program.modules)
     options = parse(stages, arguments)
     if options.command == "gc":
         return collect(options, stages)
-    call = _call(options, stages)
+    call = _call(program, options, stages)
     if options.command in ("plan", "inspect"):
         return _show(call)
     if options.command == "report":
@@ -90,7 +99,7 @@ def _run(modules: Mapping[str, str], arguments: Sequence[str]) -> int:
         return _make_alone(call, steps) if options.alone else _bring_up_to_date(call, steps)
 
 
-def _call(options: argparse.Namespace, stages: Mapping[str, Stage]) -> Call:
+def _call(program: Program, options: argparse.Namespace, stages: Mapping[str, Stage]) -> Call:
     capture, dataset = open_places(options.capture, options.dataset, options.command)
     own = {k[2:]: v for k, v in vars(options).items() if k.startswith("p_") and v is not None}
     given = given_settings(options.params, options.envs, own, options.command, stages)
@@ -98,7 +107,7 @@ def _call(options: argparse.Namespace, stages: Mapping[str, Stage]) -> Call:
     inherits = (options.command in stages and not options.alone) or options.command == "report"
     settings = settings_of_one_stage(options.command, given, last, stages) if inherits else given
     capture = with_environments(capture, settings.environments)
-    return Call(options, stages, capture, dataset, settings, last, Progress(quiet=options.quiet))
+    return Call(program, options, stages, capture, dataset, settings, last, Progress(quiet=options.quiet))
 
 
 def _show(call: Call) -> int:
@@ -110,13 +119,11 @@ def _show(call: Call) -> int:
         refuse_another_capture(call.dataset, call.capture, steps)
     found = states(call.dataset, steps)
     print(f"{call.capture.root.name}: {call.capture.layout}\n{plan_text(steps, found)}\n{outlook(found)}")
-    if hint := keep_hint(call.last, call.settings, found, call.command not in call.stages):
+    if hint := keep_hint(call.last, call.settings, found, call.stages, call.command not in call.stages):
         print(hint)
     if call.command == "inspect":
-        from pipeline.report.inspect import write_inspection
-
         folder = call.dataset.root.with_name(call.dataset.root.name + "-inspect")
-        print(f"inspection: {write_inspection(call.capture, steps, folder, found)}")
+        print(f"inspection: {call.program.inspect(call.capture, steps, folder, found)}")
     return 0
 
 
@@ -130,11 +137,11 @@ def _report(call: Call) -> int:
         refuse_another_capture(call.dataset, call.capture, steps)
         found = states(call.dataset, steps)
         for name, state in found.items():
-            if name != REPORT and state.kind not in ("skip", "done"):
-                made = _report_path(call.dataset)
+            if name != call.program.report and state.kind not in ("skip", "done"):
+                made = _report_path(call)
                 old = f"; the last report is {made}" if made.exists() else ""
                 fault = f"is not up to date ({state.why or 'it has not been made'}), and report runs no other stage"
-                raise UserError(name, fault, f"`make {REPORT}` with the same arguments does{old}")
+                raise UserError(name, fault, f"`make {call.program.report}` with the same arguments does{old}")
         call.dataset.digests.save(call.dataset.write_text)
         return _bring_up_to_date(call, steps)
 
@@ -143,7 +150,7 @@ def _bring_up_to_date(call: Call, steps: list[Step]) -> int:
     command, dataset, say = call.command, call.dataset, call.progress.say
     for warning in call.capture.warnings:
         say(f"warning: {warning}")
-    target = {"all": None, "report": REPORT}.get(command, command)
+    target = {"all": None, "report": call.program.report}.get(command, command)
     step = next((s for s in steps if s.stage.name == target), None)
     if step is not None and not step.decision.run:
         print(f"{target}: not needed ({step.decision.reason})")
@@ -159,12 +166,13 @@ def _bring_up_to_date(call: Call, steps: list[Step]) -> int:
     _describe(call, steps, kept)
     if all(state.kind == "done" for state in found.values()) and not made:
         print(f"{dataset.root}: up to date, nothing to do")
-    if wanted[-1].stage.name == REPORT:
-        print(f"report: {_report_path(dataset)}")
+    if wanted[-1].stage.name == call.program.report:
+        print(f"report: {_report_path(call)}")
     elif target is not None:
         print(f"{target}: {dataset.root / target / 'current'}")
     if stale := stale_after(dataset, steps):
-        print(f"out of date: {', '.join(stale)} (made from earlier versions); `make {REPORT}` brings everything up to date")
+        remedy = f"`make {call.program.report}` brings everything up to date"
+        print(f"out of date: {', '.join(stale)} (made from earlier versions); {remedy}")
     return 0
 
 
@@ -178,7 +186,7 @@ def _announce(call: Call, steps: list[Step], found: Mapping[str, State]) -> None
         if state.kind in ("again", "switch") and state.root:
             verb = "made again" if state.kind == "again" else "an earlier version is put to use"
             call.progress.say(f"{name}: {verb} ({state.why})")
-    if hint := keep_hint(call.last, call.settings, found, call.command not in call.stages):
+    if hint := keep_hint(call.last, call.settings, found, call.stages, call.command not in call.stages):
         call.progress.say(hint)
 
 
@@ -224,7 +232,8 @@ def _make_alone(call: Call, steps: list[Step]) -> int:
 def _in_a_process_of_its_own(call: Call, name: str) -> int:
     """Run one stage in a child: its memory is its own, and a crash of a native library ends the stage alone."""
     options = call.options
-    command = [sys.executable, "-m", "stages", name, str(call.capture.root), "--dataset", str(call.dataset.root), "--alone"]
+    command = [sys.executable, "-m", call.program.module, name, str(call.capture.root), "--alone"]
+    command += ["--dataset", str(call.dataset.root)]
     command += [f"--params={call.settings.params_text()}", f"--envs={call.settings.envs_text()}"]
     command += ["--device", options.device, "--jobs", str(options.jobs)] + (["--quiet"] if options.quiet else [])
     path = os.pathsep.join(filter(None, [str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH", "")]))
@@ -265,8 +274,8 @@ def _describe(call: Call, steps: list[Step], kept: Settings) -> None:
     dataset.describe({**facts, "given": kept.as_json(dataset.root)})
 
 
-def _report_path(dataset: Dataset) -> Path:
-    return dataset.root / REPORT / "current" / "report.html"
+def _report_path(call: Call) -> Path:
+    return call.dataset.root / call.program.report / "current" / "report.html"
 
 
 def _check_cuda() -> None:

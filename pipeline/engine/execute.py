@@ -21,9 +21,10 @@ from pipeline.engine.stage import StageRun
 from pipeline.errors import UserError
 
 PACKAGES = {
-    "numpy": "numpy", "OpenImageIO": "OpenImageIO", "torch": "torch", "numba": "numba", "jax": "jax",
-    "jaxopt": "jaxopt", "open3d": "open3d", "pycolmap": "pycolmap", "rawpy": "rawpy", "scipy": "scipy", "cv2":
-    "opencv-python-headless", "skimage": "scikit-image", "gsplat": "gsplat", "transformers": "transformers",
+    "numpy": "numpy", "OpenImageIO": "OpenImageIO", "torch": "torch", "numba": "numba", "jax": "jax", "jaxopt": "jaxopt",
+    "optimistix": "optimistix", "optax": "optax", "open3d": "open3d", "pycolmap": "pycolmap", "rawpy": "rawpy",
+    "scipy": "scipy", "cv2": "opencv-python-headless", "skimage": "scikit-image", "gsplat": "gsplat",
+    "transformers": "transformers",
 }  # fmt: skip
 
 

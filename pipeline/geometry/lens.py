@@ -25,9 +25,12 @@ NOTICEABLE_PX = 0.05
 
 
 def frames_folder(inputs: Mapping[str, Path]) -> Path:
-    """The folder whose frames.json and frames/ fit cameras.json: that of poses where it resampled, else that of decode."""
-    poses = inputs.get("poses")
-    return poses if poses is not None and (poses / FRAMES).is_file() else inputs["decode"]
+    """The folder whose frames.json and frames/ fit cameras.json, of a stage's inputs in the order that it needs them.
+
+    The last that has frames: decode's, or those of poses where it resampled them. Where none has (a light stage), the first.
+    """
+    folders = list(inputs.values())
+    return next((folder for folder in reversed(folders) if (folder / FRAMES).is_file()), folders[0])
 
 
 def frame_table(inputs: Mapping[str, Path]) -> dict[str, dict[str, Any]]:
@@ -40,8 +43,8 @@ def lenses(inputs: Mapping[str, Path]) -> dict[str, Camera]:
     """The cameras with distortion, by VIEW, whose frames poses resampled; empty where it did not."""
     from pipeline.geometry.cameras import load_cameras
 
-    path = inputs["poses"] / LENSES if "poses" in inputs else None
-    return load_cameras(path) if path is not None and path.is_file() else {}
+    path = next((folder / LENSES for folder in inputs.values() if (folder / LENSES).is_file()), None)
+    return load_cameras(path) if path is not None else {}
 
 
 def pinhole(camera: Camera) -> Camera:

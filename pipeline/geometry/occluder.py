@@ -8,8 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.optics.sphere import hemisphere_rule
-
 Float = NDArray[np.float32]
 
 # Rays start this share of the mesh's diagonal off the surface: above float32's rounding of hits (1e-6) and the ripple
@@ -68,19 +66,6 @@ class Occluder:
     def _rays(self, origins: NDArray, directions: NDArray) -> Any:
         rays = np.concatenate(np.broadcast_arrays(origins, directions), axis=-1)
         return self._core.Tensor(np.ascontiguousarray(rays, np.float32))
-
-    def blocked_share(self, samples: int = 500, seed: int = 0) -> float:
-        """Share of cosine-weighted light that the mesh takes from itself, averaged over `samples` vertices.
-
-        0 for a convex object: then no occlusion needs computing. 32 000 rays by default, a few milliseconds.
-        """
-        rng = np.random.default_rng(seed)
-        chosen = rng.choice(len(self.vertices), min(samples, len(self.vertices)), replace=False)
-        local, weight = hemisphere_rule(4, 16)
-        world = np.einsum("ka,pab->pkb", local, tangent_frames(self.normals[chosen]))
-        origins = self.vertices[chosen] + self.lift * self.normals[chosen]
-        blocked = self.blocked(np.broadcast_to(origins[:, None], world.shape), world)
-        return float((blocked * (weight * local[:, 2])).sum(-1).mean() / np.pi)
 
 
 def simplified(vertices: NDArray, triangles: NDArray, faces: int = 20_000) -> tuple[NDArray, NDArray]:

@@ -73,9 +73,3 @@ def masking(c: Array, alpha: Array, lobe: str = "ggx") -> Array:
 def separable_shadowing(nv: Array, nl: Array, alpha: Array, lobe: str = "ggx") -> Array:
     """G = G1(v) G1(l): what Mitsuba's microfacet plugins use."""
     return masking(nv, alpha, lobe) * masking(nl, alpha, lobe)
-
-
-def correlated_shadowing(nv: Array, nl: Array, alpha: Array, lobe: str = "ggx") -> Array:
-    """Height-correlated Smith G."""
-    f = LAMBDAS[lobe]
-    return 1 / (1 + f(nv, alpha) + f(nl, alpha))

@@ -18,7 +18,7 @@ def _matrix(xp: Any, rows: tuple[tuple[Array, ...], ...]) -> Array:
 
 
 def rotation(phi: Array) -> Array:
-    """Change to a frame turned by +phi (rad): `rotation(phi) @ s == stokes.rotate(s, phi)`."""
+    """The same light described in a frame turned by +phi (rad, counter-clockwise): `rotation(phi) @ s`."""
     xp = array_namespace(phi)
     c, s, zero = xp.cos(2 * phi), xp.sin(2 * phi), xp.zeros_like(phi)
     return _matrix(xp, ((zero + 1, zero, zero), (zero, c, s), (zero, -s, c)))

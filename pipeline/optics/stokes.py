@@ -51,27 +51,6 @@ def polariser_row(theta: Array, extinction: float | Array = float("inf")) -> Arr
     return xp.stack((one, k * xp.cos(2 * theta), k * xp.sin(2 * theta)), axis=-1) / 2
 
 
-def rotate(stokes: Array, phi: Array) -> Array:
-    """The same light described in a frame turned by +phi (rad, counter-clockwise), [..., 3]."""
-    xp = array_namespace(stokes, phi)
-    c, s = xp.cos(2 * phi), xp.sin(2 * phi)
-    s0, s1, s2 = stokes[..., 0], stokes[..., 1], stokes[..., 2]
-    return xp.stack((s0, c * s1 + s * s2, c * s2 - s * s1), axis=-1)
-
-
-def frame(ray: Array, up: Array) -> tuple[Array, Array]:
-    """Stokes axes (x, y) of pixels: x = N(ray x up), y = x cross ray; x to the right, y up as displayed.
-
-    ray [..., 3]: unit, away from the camera, world; up [..., 3]: the camera's up axis, world (its -y in
-    OpenCV axes). Undefined where ray is parallel to up (90 degrees off the optical axis).
-    """
-    xp = array_namespace(ray, up)
-    up = up + 0 * ray
-    x = xp.linalg.cross(ray, up, axis=-1)
-    x = x / xp.sqrt(xp.sum(x * x, axis=-1, keepdims=True))
-    return x, xp.linalg.cross(x, ray, axis=-1)
-
-
 def surface_pattern(normal: Array, frame_x: Array, frame_y: Array) -> tuple[Array, Array]:
     """(nx^2 - ny^2, 2 nx ny) of the normal projected on the frame: sin^2(theta) (cos 2phi, sin 2phi), [...,
     3] -> [...].

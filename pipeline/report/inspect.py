@@ -18,25 +18,22 @@ from pipeline.formats.images import read_image, write_fault
 from pipeline.geometry.cameras import Camera
 
 from . import pictures
-from .model_pictures import AOLP_FULL, DOLP_FULL, exposure_of, picture, polarisation
-from .page import render
+from .pictures import AOLP_FULL, DOLP_FULL, exposure_of, picture, polarisation
+from .render import render
 
 SHOWN = 6  # views whose pixels are looked at
 LONGEST = 288  # px
-MEBI = 2**20
-# Compressed bytes of a float EXR value, as seen on the project's own images (zip halves noise, blacks cost nothing).
-BYTES_PER_VALUE = 1.6
-GBUFFER_CHANNELS, TEST_CHANNELS, STOKES_CHANNELS, MAP_CHANNELS = 10, 25, 9, 31
 
 
-def write_inspection(capture: Capture, steps: Sequence[Step], folder: Path, found: Mapping[str, State]) -> Path:
-    """Write inspect.html to `folder` (made when missing) and return its path; `found` tells how each step stands.
+def write_inspection(
+    capture: Capture, steps: Sequence[Step], folder: Path, found: Mapping[str, State], disk: Sequence[tuple[str, float]]
+) -> Path:
+    """Write inspect.html to `folder` (made when missing) and return its path.
 
-    Raises UserError when it cannot write.
+    `found` tells how each step stands, `disk` how much each will leave (name, MB). Raises UserError when it cannot write.
     """
     shown, faults = _views(capture)
     plan = plan_as_json(list(steps))
-    disk = disk_estimate(capture, {name for name, d in plan.items() if d["run"]})
     context = {
         "name": capture.root.name,
         "facts": _facts(capture),
@@ -235,29 +232,3 @@ def nearest_to_axes(centres: NDArray, axes: NDArray) -> NDArray[np.float64]:
 
 def _round(values: NDArray) -> Any:
     return np.round(values, 4).tolist()
-
-
-def disk_estimate(capture: Capture, stages: set[str]) -> list[tuple[str, float]]:
-    """Megabytes that each running stage will leave, roughly: within a factor of two for ordinary objects."""
-    if capture.light_stage is not None:
-        pixels = sum(c.camera.width * c.camera.height for c in capture.light_stage.cameras.values())
-        per_stage = {
-            "decode": 0.05, "masks": pixels / 8 / MEBI, "olat": pixels * MAP_CHANNELS * BYTES_PER_VALUE / MEBI,
-            "relight": pixels * 6 * BYTES_PER_VALUE * len(capture.environments) / MEBI, "metrics": 1.0,
-        }  # fmt: skip
-    else:
-        sizes = [v.size or _size_of(capture, v.view) for v in capture.views]
-        pixels = sum(w * h for w, h in sizes)
-        channels = 3 if capture.polarisation != "stokes" else STOKES_CHANNELS
-        per_stage = {
-            "decode": pixels * channels * BYTES_PER_VALUE / MEBI, "poses": 0.1 if capture.cameras else pixels / 4 / MEBI,
-            "masks": pixels / 8 / MEBI, "train": pixels * (GBUFFER_CHANNELS + TEST_CHANNELS / 8) * BYTES_PER_VALUE / MEBI + 4,
-            "mesh": 8.0, "relight": pixels * (STOKES_CHANNELS + 1) * BYTES_PER_VALUE * len(capture.environments) / MEBI,
-            "metrics": 3.0,
-        }  # fmt: skip
-    return [(name, mb) for name, mb in per_stage.items() if name in stages]
-
-
-def _size_of(capture: Capture, view: str) -> tuple[int, int]:
-    camera = (capture.cameras or {}).get(view)
-    return (camera.width, camera.height) if camera else (1024, 1024)

@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from pipeline.formats.images import srgb_encode
 
+DOLP_FULL = 0.6  # DoLP at the bright end of its colour scale
+AOLP_FULL = 0.15  # DoLP from which an angle is shown at full brightness
 # Anchor colours (sRGB) of two perceptually even scales, dark to light.
 INFERNO = (
     (0, 0, 4),
@@ -93,3 +95,21 @@ def crop_box(masks: list[NDArray[np.bool_]], margin: float = 0.06) -> tuple[slic
     pad = int(margin * max(np.ptp(rows), np.ptp(columns))) + 1
     top, left = max(rows[0] - pad, 0), max(columns[0] - pad, 0)
     return slice(top, rows[-1] + pad + 1), slice(left, columns[-1] + pad + 1)
+
+
+def picture(pixels: NDArray[np.uint8], title: str, text: str, longest: int, place: str = "") -> dict[str, str]:
+    """One figure of a page; place "first" starts a row."""
+    return {"src": data_uri(pixels, longest), "title": title, "text": text, "place": place}
+
+
+def polarisation(stokes: NDArray) -> tuple[NDArray, NDArray]:
+    """DoLP and AoLP (radians) of the colour mean; 0 where it is dark."""
+    s0, s1, s2 = np.moveaxis(stokes.mean(-1), -1, 0)
+    lit = s0 > 1e-3
+    return np.where(lit, np.hypot(s1, s2) / np.maximum(s0, 1e-3), 0), 0.5 * np.arctan2(s2, s1)
+
+
+def exposure_of(image: NDArray) -> float:
+    """A factor that puts the brightest percent of the object at display white; 1 for images that are bright enough."""
+    bright = image[image.max(-1) > 1e-4]
+    return float(1 / max(np.percentile(bright, 98), 1e-6)) if len(bright) and np.percentile(bright, 98) < 0.6 else 1.0

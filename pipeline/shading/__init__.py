@@ -8,6 +8,7 @@ shaded = shade(normal, view, albedo, roughness, ior, frame_x, frame_y, light)
 from .cube import cube_directions
 from .environment import EnvironmentCube
 from .prefilter import LightField, Prefilter
-from .shading import Occlusion, Shaded, shade
+from .shading import shade
+from .types import Occlusion, Shaded
 
 __all__ = ["EnvironmentCube", "LightField", "Occlusion", "Prefilter", "Shaded", "cube_directions", "shade"]

@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import numpy as np
 import torch
-from numpy.typing import ArrayLike
-
-from . import latlong
 
 # Radiance of an untouched environment (raw 0): what Eq. 33 gives there.
 GREY = 0.5
@@ -35,13 +31,3 @@ class EnvironmentCube(torch.nn.Module):
     def radiance(self) -> torch.Tensor:
         """Linear radiance [6, R, R, 3], all positive."""
         return activate(self.raw)
-
-    def to_latlong(self, height: int = 256, width: int = 512) -> np.ndarray:
-        """Latitude-longitude map [H, W, 3] float32 in the dataset's convention; see `latlong.from_cube`."""
-        return latlong.from_cube(self.radiance().detach().cpu().numpy(), height, width).astype(np.float32)
-
-    @classmethod
-    def from_latlong(cls, image: ArrayLike, resolution: int = 32) -> EnvironmentCube:
-        """Cube with the texel means of a latitude-longitude map [H, W, 3]."""
-        cube = latlong.to_cube(np.asarray(image), resolution)
-        return cls(resolution, torch.as_tensor(cube, dtype=torch.float32))

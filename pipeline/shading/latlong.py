@@ -39,12 +39,6 @@ def directions(height: int, width: int, sub: int = 1, rows: range | None = None)
     return d.reshape(len(rows), width, sub * sub, 3)
 
 
-def pixel_coordinates(d: Float) -> tuple[Float, Float]:
-    """(u, v) in [0, 1) x [0, 1] of unit directions [..., 3]."""
-    u = np.arctan2(d[..., 0], -d[..., 2]) / (2 * np.pi) % 1.0
-    return u, np.arccos(np.clip(d[..., 1], -1, 1)) / np.pi
-
-
 @lru_cache(maxsize=4)
 def overlap(height: int, width: int, resolution: int) -> csr_matrix:
     """Solid angles shared by cube texels and lat-long pixels [6 R^2, H W] (sr).

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import torch
@@ -13,37 +12,7 @@ from pipeline.optics.stokes import surface_pattern
 from . import limits, splitsum
 from . import prefilter_kernels as kernels
 from .prefilter import LightField
-
-FRESNELS = ("exact", "schlick")
-# Rings x azimuths of facets by name; None is the split sum. See `lobe`.
-MIRRORS: dict[str, tuple[int, int] | None] = {
-    "split": None, "lobe-4": (1, 4), "lobe-12": (2, 6), "lobe-24": (3, 8), "lobe-48": (4, 12)
-}  # fmt: skip
-
-
-@dataclass(frozen=True)
-class Shaded:
-    """Radiance leaving P points towards the camera, linear RGB.
-
-    stokes [P, 3 (s0, s1, s2), 3 (rgb)]; diffuse + specular = s0, both [P, 3].
-    """
-
-    stokes: torch.Tensor
-    diffuse: torch.Tensor
-    specular: torch.Tensor
-
-
-@dataclass(frozen=True)
-class Occlusion:
-    """What the object itself takes from and adds to the light at P points; see `visibility` and `gridmap`.
-
-    irradiance' = shadow * irradiance + bounced, mirrored' = unblocked * mirrored + seen.
-    """
-
-    shadow: torch.Tensor  # [P, 3] share of the unoccluded irradiance that arrives
-    bounced: torch.Tensor  # [P, 3] irradiance from the object's own surface (radiance units times sr)
-    unblocked: torch.Tensor  # [P] share of the mirrored lobe that leaves the object
-    seen: torch.Tensor  # [P, 3] radiance of the object's own surface in the rest of it
+from .types import FRESNELS, MIRRORS, Occlusion, Shaded, clamp_keeping_gradient
 
 
 def shade(
@@ -162,11 +131,6 @@ def mirror_reflection(
     index = (eta - low) * ((splitsum.IOR_NODES - 1) / (high - low))
     rho, across = splitsum.lookup(values, (index, *where)).unbind(-1)
     return optics.reflectance(cosine, eta) * rho, across
-
-
-def clamp_keeping_gradient(x: torch.Tensor, low: float, high: float) -> torch.Tensor:
-    """x limited to [low, high]; the gradient passes as if it were not, so that a value outside finds back."""
-    return x + (x.clamp(low, high) - x).detach()
 
 
 class _Fused(torch.autograd.Function):

@@ -11,7 +11,7 @@ from pipeline.engine.stage import StageRun
 from pipeline.errors import UserError
 from pipeline.geometry.lens import Straightener, lenses
 from stages.masks.background import tidy
-from stages.masks.segment import frame_s0
+from stages.masks.inputs import frame_s0
 
 SEED, GROW = 8.0, 3.0
 """Noise standard deviations: a difference is the object's for sure, and may be where it touches such a place."""

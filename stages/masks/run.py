@@ -15,7 +15,7 @@ from pipeline.errors import UserError
 from pipeline.formats.images import read_image, read_stokes, write_png
 from pipeline.geometry.cameras import Camera
 from pipeline.geometry.lens import Straightener, frame_table, frames_folder, lenses
-from stages.masks.stage import choose_method
+from stages.masks.parameters import choose_method
 
 THRESHOLD = 127
 CHECK_SIZE = 240
@@ -45,7 +45,7 @@ def make_masks(stage: StageRun) -> None:
 
 def flag_disagreement(stage: StageRun, masks: dict[str, NDArray[np.uint8]], views: dict[str, dict[str, Any]]) -> None:
     """Hold the masks against each other's visual hull; tell the user of those that do not fit."""
-    from stages.masks.segment import cameras_of
+    from stages.masks.inputs import cameras_of
 
     cameras = cameras_of(stage)
     names = [name for name in sorted(masks) if name in cameras and (masks[name] > THRESHOLD).any()]

@@ -14,7 +14,7 @@ from pipeline.errors import UserError
 from pipeline.geometry.cameras import Camera
 from stages.masks.background import Fixation, fixation, tidy
 from stages.masks.grabcut import display
-from stages.masks.segment import frame_s0
+from stages.masks.inputs import frame_s0
 
 MEAN, STD = np.array([123.675, 116.28, 103.53], np.float32), np.array([58.395, 57.12, 57.375], np.float32)
 """ImageNet's, in 8-bit codes: what SAM was trained with."""

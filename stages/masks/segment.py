@@ -6,9 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.engine.stage import StageRun
-from pipeline.formats.images import read_image
-from pipeline.geometry.cameras import Camera, load_cameras
-from pipeline.geometry.lens import frames_folder
+from pipeline.geometry.cameras import Camera
+from stages.masks.inputs import cameras_of, frame_s0
 
 MIN_VIEWS = 4
 """Below this the views' agreement says little: each is segmented on its own."""
@@ -57,17 +56,3 @@ def _one_by_one(stage: StageRun, views: list[str]) -> dict[str, NDArray[np.bool_
         f"{stage.capture.root}: too few views with cameras that look at one thing; masks are guessed from each view alone"
     )
     return {view: grabcut_centre(frame_s0(stage, view)) for view in views}
-
-
-def frame_s0(stage: StageRun, view: str) -> NDArray[np.float32]:
-    """A decoded frame's radiance [H, W, 3]: s0, or the plain colour."""
-    path = frames_folder(stage.inputs) / "frames" / f"{view}.exr"
-    stokes = stage.capture.polarisation == "stokes"
-    return np.maximum(read_image(path, ("S0.R", "S0.G", "S0.B") if stokes else ("R", "G", "B")), 0)
-
-
-def cameras_of(stage: StageRun) -> dict[str, Camera]:
-    """The poses stage's cameras by VIEW; empty without any."""
-    if "poses" not in stage.inputs or not (stage.inputs["poses"] / "cameras.json").is_file():
-        return {}
-    return load_cameras(stage.inputs["poses"] / "cameras.json")

@@ -3,49 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
 
 from pipeline.capture import Capture
 from pipeline.engine.stage import Decision, Stage, StageRun
-
-
-@dataclass(frozen=True)
-class MasksParameters:
-    """How the object is told from the background where nothing is given."""
-
-    method: Literal["auto", "given", "alpha", "clean_plate", "background", "matte", "sam", "none"] = field(
-        default="auto", metadata={"help": "auto: given, else alpha, clean plate, SAM checkpoint, background model"}
-    )
-    sam_checkpoint: str | None = field(
-        default=None, metadata={"help": "folder of a Segment-Anything model (transformers' save_pretrained)"}
-    )
-    prompt: Literal["points", "box"] = field(default="points", metadata={"help": "what SAM is prompted with"})
-    hull_check: bool = field(default=True, metadata={"help": "flag masks that disagree with the visual hull"})
-    max_size: int = field(default=480, metadata={"help": "segmentation works at this longer side (px), edges at full size"})
-
-
-def choose_method(capture: Capture, parameters: MasksParameters) -> tuple[str, str]:
-    """The method and the reason for it."""
-    if parameters.method != "auto":
-        return parameters.method, f"masks.method={parameters.method}"
-    if capture.kind == "light_stage":
-        stage = capture.light_stage
-        assert stage is not None
-        given = all(camera.mask is not None for camera in stage.cameras.values())
-        return (
-            ("given", "the light stage has a mask for every camera") if given else ("matte", "matte from the sum of all lights")
-        )
-    if isinstance(capture.masks, dict):
-        return "given", "masks are given"
-    if capture.masks == "alpha":
-        return "alpha", "the images carry alpha"
-    if parameters.sam_checkpoint:
-        return "sam", "a Segment-Anything checkpoint is given"
-    if capture.clean_plates:
-        return "clean_plate", "photographs of the empty scene are there"
-    return "background", "no masks: the object is segmented by what all views agree on"
+from stages.masks.parameters import MasksParameters, choose_method
 
 
 def needed(capture: Capture, parameters: MasksParameters) -> Decision:

@@ -10,8 +10,7 @@ from pipeline.formats.images import srgb_encode
 Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 PSNR_CEILING_DB = 120.0  # of equal images
-SSIM_SIGMA, SSIM_TRUNCATE = 1.5, 3.5  # Wang et al. 2004: an 11-pixel Gaussian window
-SSIM_C1, SSIM_C2 = 0.01**2, 0.03**2
+SSIM_SIGMA, SSIM_RADIUS = 1.5, 5  # Wang et al. 2004: an 11-pixel Gaussian window
 DARK = 0.01  # luminance below which DoLP is noise over nothing
 POLARISED = 0.05  # DoLP below which an angle means nothing
 
@@ -25,15 +24,15 @@ def psnr(a: Image, b: Image, mask: Mask | None = None) -> float:
 
 def ssim_map(a: Image, b: Image) -> NDArray[np.float64]:
     """Structural similarity [H, W, C] of display values in [0, 1] (Wang et al. 2004), reflected at the border."""
-    from scipy.ndimage import gaussian_filter
+    from skimage.metrics import structural_similarity
 
-    def blur(z: NDArray) -> NDArray:
-        return gaussian_filter(z, (SSIM_SIGMA, SSIM_SIGMA, 0), truncate=SSIM_TRUNCATE)
-
-    x, y = a.astype(np.float64), b.astype(np.float64)
-    mx, my = blur(x), blur(y)
-    vx, vy, vxy = blur(x * x) - mx * mx, blur(y * y) - my * my, blur(x * y) - mx * my
-    return ((2 * mx * my + SSIM_C1) * (2 * vxy + SSIM_C2)) / ((mx * mx + my * my + SSIM_C1) * (vx + vy + SSIM_C2))
+    height, width = a.shape[:2]
+    rim = SSIM_RADIUS if min(height, width) <= 2 * SSIM_RADIUS else 0  # skimage refuses frames smaller than its window
+    x, y = (np.pad(z.astype(np.float64), ((rim, rim), (rim, rim), (0, 0)), mode="symmetric") for z in (a, b))
+    _, found = structural_similarity(
+        x, y, data_range=1.0, channel_axis=-1, full=True, gaussian_weights=True, sigma=SSIM_SIGMA, use_sample_covariance=False
+    )
+    return found[rim : rim + height, rim : rim + width]
 
 
 def ssim(a: Image, b: Image) -> float:

@@ -27,7 +27,7 @@ def measure(run: StageRun) -> None:
         costs = {k: manifest.get(k) for k in COSTS}
         out[name] = {**tables.get(name, Table()).as_json(), **costs}
     (run.output / "metrics.json").write_text(json.dumps(out, indent=1) + "\n")
-    from pipeline.report.page import write_report
+    from .report.page import write_report
 
     write_report(run, out, manifests)
 

@@ -23,6 +23,7 @@ from pipeline.rig.solid_angles import solid_angles
 from stages.olat.maps.footprint import with_neighbours
 from stages.olat.maps.map_files import MapWriter
 from stages.olat.maps.preview import write_preview
+from stages.olat.parameters import OlatParameters, every
 from stages.olat.pixel_fit.fit_options import SPECULAR_FITS, Settings
 from stages.olat.pixel_fit.many_pixels import fit, load, ready
 from stages.olat.pixel_fit.result_layout import FLAG, RESIDUAL, columns
@@ -31,7 +32,6 @@ from stages.olat.reading.misregistration import WARN_PX, Drift
 from stages.olat.reading.rig_cameras import PILOT, CameraJob, decoded
 from stages.olat.reading.scanline_bands import Band, parts_of
 from stages.olat.reading.stream import Lanes, Piece
-from stages.olat.stage import OlatParameters, every
 
 FLAGS = ("good", "too few lights", "saturated", "black", "no lobe", "bad samples")
 PRIOR = (1 / np.radians(0.5)) ** 2  # n_s and n_d of one surface agree to about half a degree

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +14,6 @@ from pipeline.geometry.cameras import Camera
 from pipeline.rig.latlong_lights import Y_UP_FROM
 
 from .deferred import Lamp, Surface
-
-if TYPE_CHECKING:
-    from .mesh_shadows import SelfOcclusion
 
 SUPERSAMPLE = 2  # rays across a pixel
 FRAME_MS = 60
@@ -115,9 +112,9 @@ def _diffuse_occlusion(values: NDArray) -> Any:
 
 
 def write_turntable(
-    run: StageRun, lamp: Lamp, cameras: dict[str, Camera], folder: Path, occluder: SelfOcclusion | None = None
+    run: StageRun, lamp: Lamp, cameras: dict[str, Camera], folder: Path, received: NDArray | None = None
 ) -> None:
-    """turntable/NNN.png and turntable.webp of one map."""
+    """turntable/NNN.png and turntable.webp of one map; `received` [V, 6] as `render` takes it."""
     from PIL import Image
 
     if "mesh" not in run.inputs:
@@ -127,7 +124,6 @@ def write_turntable(
     centre = (mesh.low + mesh.high) / 2
     p = run.parameters
     frames = []
-    received = occluder.on_mesh(occluder.under(lamp)) if occluder is not None else None
     with run.progress.bar("turntable", total=p.turntable, unit="frames") as bar:
         for k, camera in enumerate(orbit(cameras, centre, lamp.model.up, p.turntable, p.turntable_size)):
             shown = (srgb_encode(render(mesh, camera, lamp, received)) * 255 + 0.5).astype(np.uint8)

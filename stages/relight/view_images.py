@@ -94,7 +94,8 @@ def relight_views(run: StageRun) -> None:
         from .turntable import write_turntable
 
         for name, lamp in lamps.items():
-            write_turntable(run, lamp, cameras, run.output / name, occluder)
+            received = occluder.on_mesh(lit[name]) if occluder else None
+            write_turntable(run, lamp, cameras, run.output / name, received)
 
 
 def _lamp(run: StageRun, path: Path, model: ShadingModel) -> Lamp:

@@ -84,6 +84,16 @@ def report(run: StageRun) -> None:
     (run.output / "report.html").write_text("<html>")
 
 
+def inspect(capture, steps, folder, found) -> Path:
+    folder.mkdir()
+    page = folder / "inspect.html"
+    page.write_text("<html>")
+    return page
+
+
+PROGRAM = cli.Program({}, module="none", report="metrics", inspect=inspect)
+
+
 @pytest.fixture
 def command(stages, tmp_path, monkeypatch, capsys) -> Callable[..., Outcome]:
     """`polarfield` over stages count, double, train, relight and metrics that cost nothing, run in this process.
@@ -117,7 +127,7 @@ def command(stages, tmp_path, monkeypatch, capsys) -> Callable[..., Outcome]:
 
     def call(*arguments: object) -> Outcome:
         ran.clear()
-        status = cli.main({}, [str(a) for a in arguments])
+        status = cli.main(PROGRAM, [str(a) for a in arguments])
         printed = capsys.readouterr()
         return Outcome(status, printed.out, printed.err, list(ran))
 

@@ -118,15 +118,17 @@ def test_a_second_run_waits_for_the_first_and_a_killed_one_lets_go(tmp_path):
         "    print('held', flush=True); time.sleep(60)\n"
     )
     command = [sys.executable, "-c", code, str(tmp_path)]
-    first = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=Path(__file__).parents[2])
-    assert first.stdout is not None and first.stdout.readline() == "held\n"
-    second = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=Path(__file__).parents[2])
-    assert second.stdout is not None and second.stdout.readline() == "waiting\n"
-    first.send_signal(signal.SIGKILL)
-    assert second.stdout.readline() == "held\n"
-    second.kill()
-    first.wait()
-    second.wait()
+
+    def begin() -> subprocess.Popen[str]:
+        return subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=Path(__file__).parents[2])
+
+    with begin() as first:
+        assert first.stdout is not None and first.stdout.readline() == "held\n"
+        with begin() as second:
+            assert second.stdout is not None and second.stdout.readline() == "waiting\n"
+            first.send_signal(signal.SIGKILL)
+            assert second.stdout.readline() == "held\n"
+            second.kill()
 
 
 def test_the_digests_of_unchanged_files_are_not_computed_again(tmp_path, capture, stages, monkeypatch):

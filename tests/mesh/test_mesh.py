@@ -14,8 +14,8 @@ from stages.mesh.attributes import bake, vertex_table
 from stages.mesh.clean import Mesh, boundary_loops, fill_holes, in_fixed_order, largest_pieces, without_slivers
 from stages.mesh.fusion import Volume, measure
 from stages.mesh.outline import outline_gap, outline_length
+from stages.mesh.parameters import MeshParameters
 from stages.mesh.ply import write_ply
-from stages.mesh.stage import MeshParameters
 from stages.relight.turntable import read_ply
 
 

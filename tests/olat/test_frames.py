@@ -8,10 +8,10 @@ import pytest
 
 from pipeline.errors import UserError
 from pipeline.formats.images import write_exr
+from stages.olat.parameters import OlatParameters, every
 from stages.olat.reading.frame_reader import Samples, ahead, read_bands, read_rows
 from stages.olat.reading.misregistration import Drift, measure
 from stages.olat.reading.scanline_bands import Band, bands_of
-from stages.olat.stage import OlatParameters, every
 
 
 def test_bands_cover_the_mask_once_in_whole_chunks():

@@ -3,19 +3,20 @@
 import numpy as np
 import pytest
 
-from benchmarks.olat_pixels import angle_deg, make
 from stages.olat.pixel_fit.many_pixels import fit
 from stages.olat.pixel_fit.result_layout import BAD_SAMPLES, BLACK, FLAG, GOOD, NO_LOBE, SATURATED, TOO_FEW, columns
-from tests.olat.test_recovery import AT, DEFAULT, run
+from synth.olat_pixels import angle_deg, make
 
 pytestmark = pytest.mark.slow  # the kernels' first compilation takes most of a minute
+
+AT = columns()
 
 
 def flags(rows: np.ndarray) -> set[int]:
     return set(rows[:, FLAG].astype(int))
 
 
-def test_black_pixels_are_flagged_and_face_the_camera():
+def test_black_pixels_are_flagged_and_face_the_camera(run):
     p = make(5)
     p.cross[:], p.parallel[:] = 0, 0
     rows = run(p)
@@ -24,14 +25,14 @@ def test_black_pixels_are_flagged_and_face_the_camera():
     assert np.allclose(rows[:, AT["normal"]], p.view)
 
 
-def test_negative_pixels_are_black():
+def test_negative_pixels_are_black(run):
     p = make(5)
     p.cross[:], p.parallel[:] = -0.01, -0.02
     assert flags(run(p)) == {BLACK}
 
 
 @pytest.mark.parametrize("lit", [1, 2, 3])
-def test_up_to_three_lit_lights_are_too_few(lit):
+def test_up_to_three_lit_lights_are_too_few(lit, run):
     p = make(20, sigma=(0.3, 0.3))
     order = np.argsort(-p.cross.mean(-1), axis=0)
     for j in range(20):
@@ -42,13 +43,13 @@ def test_up_to_three_lit_lights_are_too_few(lit):
     assert np.all(angle_deg(rows[:, AT["diffuse_normal"]], p.normal) < 60)  # still among the lit lights
 
 
-def test_every_sample_clipped_is_saturated():
+def test_every_sample_clipped_is_saturated(run):
     p = make(5)
     p.cross[:], p.parallel[:] = 4.0, 4.0
     assert flags(run(p, saturation=4.0)) == {SATURATED}
 
 
-def test_nan_and_inf_samples_are_left_out():
+def test_nan_and_inf_samples_are_left_out(run):
     p = make(50, sigma=(0.3, 0.3), seed=1)
     clean = run(p)
     p.cross[::40, :, 1] = np.nan
@@ -60,7 +61,7 @@ def test_nan_and_inf_samples_are_left_out():
     assert flags(run(p)) == {BAD_SAMPLES}
 
 
-def test_a_mirror_between_the_lights_is_flagged_not_fitted():
+def test_a_mirror_between_the_lights_is_flagged_not_fitted(run):
     p = make(100, sigma=(0.01, 0.01), seed=2)
     rows = run(p)
     assert np.mean(rows[:, FLAG] != GOOD) > 0.95
@@ -68,13 +69,13 @@ def test_a_mirror_between_the_lights_is_flagged_not_fitted():
 
 
 @pytest.mark.parametrize("sigma", [0.01, 0.05])
-def test_a_highlight_that_one_light_shows_has_no_larger_albedo_than_the_surface(sigma):
+def test_a_highlight_that_one_light_shows_has_no_larger_albedo_than_the_surface(sigma, run):
     p = make(300, sigma=(sigma, sigma), seed=2)  # the light lies beside the lobe: exp(-tan²/sigma²) there would divide by 1e-30
     albedo = run(p)[:, AT["specular_albedo"]][:, 0]
     assert albedo.max() < 1.5 * p.specular.max()
 
 
-def test_no_specular_light_is_no_lobe_and_the_diffuse_normal_stands_in():
+def test_no_specular_light_is_no_lobe_and_the_diffuse_normal_stands_in(run):
     p = make(20, seed=3)
     p.parallel[:] = p.cross
     rows = run(p)
@@ -84,7 +85,7 @@ def test_no_specular_light_is_no_lobe_and_the_diffuse_normal_stands_in():
 
 
 @pytest.mark.parametrize("sigma", [3.0, 5.0, 50.0])
-def test_a_lobe_wider_than_the_hemisphere_is_flagged_and_leaves_the_normals(sigma):
+def test_a_lobe_wider_than_the_hemisphere_is_flagged_and_leaves_the_normals(sigma, run):
     p = make(50, sigma=(sigma, sigma), seed=4)
     rows = run(p)
     assert np.mean(rows[:, FLAG] == NO_LOBE) > 0.8
@@ -92,7 +93,7 @@ def test_a_lobe_wider_than_the_hemisphere_is_flagged_and_leaves_the_normals(sigm
     assert np.median(angle_deg(rows[:, AT["normal"]], p.normal)) < 0.1
 
 
-def test_samples_that_overflow_leave_unit_normals():
+def test_samples_that_overflow_leave_unit_normals(run):
     p = make(50, seed=4)
     for scale in (1e-30, 1e30):
         p.cross, p.parallel = p.cross * scale, p.parallel * scale
@@ -101,7 +102,7 @@ def test_samples_that_overflow_leave_unit_normals():
             assert np.allclose(np.linalg.norm(rows[:, AT[name]], axis=1), 1, atol=1e-3)
 
 
-def test_a_grazing_view_stays_finite_and_right():
+def test_a_grazing_view_stays_finite_and_right(run):
     p = make(200, sigma=(0.2, 0.2), tilt_deg=86, seed=5)
     rows = run(p)
     steep = np.sum(p.normal * p.view, -1) < 0.25
@@ -109,7 +110,7 @@ def test_a_grazing_view_stays_finite_and_right():
     assert np.median(angle_deg(rows[steep][:, AT["diffuse_normal"]], p.normal[steep])) < 0.05
 
 
-def test_a_black_albedo_under_a_lobe_takes_its_normal_from_the_lobe():
+def test_a_black_albedo_under_a_lobe_takes_its_normal_from_the_lobe(run):
     p = make(50, sigma=(0.3, 0.3), seed=6)
     p.parallel -= p.cross
     p.cross[:] = 0
@@ -118,17 +119,17 @@ def test_a_black_albedo_under_a_lobe_takes_its_normal_from_the_lobe():
     assert np.all(rows[:, AT["diffuse_albedo"]] == 0)
 
 
-def test_light_exactly_opposite_the_view_is_harmless():
+def test_light_exactly_opposite_the_view_is_harmless(run):
     p = make(5, sigma=(0.3, 0.3))
     p.view[:] = -p.rig.directions[10]
     assert np.isfinite(run(p)).all()
 
 
-def test_very_bright_and_very_dim_captures_give_the_same_maps():
+def test_very_bright_and_very_dim_captures_give_the_same_maps(run, settings):
     p = make(30, sigma=(0.3, 0.2), seed=7)
     base = run(p)
     for scale in (1e-3, 1e3):
         rows, _ = fit((p.cross * scale).astype("f4"), (p.parallel * scale).astype("f4"), p.view, p.rig,
-                      DEFAULT._replace(irradiance=np.pi * scale))  # fmt: skip
+                      settings._replace(irradiance=np.pi * scale))  # fmt: skip
         assert np.allclose(rows[:, AT["sigma"]], base[:, AT["sigma"]], rtol=1e-3)
-        assert np.allclose(rows[:, columns()["diffuse_albedo"]], base[:, AT["diffuse_albedo"]], rtol=1e-4)
+        assert np.allclose(rows[:, AT["diffuse_albedo"]], base[:, AT["diffuse_albedo"]], rtol=1e-4)

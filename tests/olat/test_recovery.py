@@ -3,28 +3,13 @@
 import numpy as np
 import pytest
 
-from benchmarks.olat_pixels import Pixels, angle_deg, beckmann, make, rig_of, unit
-from stages.olat.pixel_fit.fit_options import Settings
 from stages.olat.pixel_fit.many_pixels import fit
 from stages.olat.pixel_fit.result_layout import FLAG, columns
-from stages.olat.run import GAIN, MIXED, PRIOR
+from synth.olat_pixels import Pixels, angle_deg, beckmann, make, rig_of, unit
 
 pytestmark = pytest.mark.slow  # the kernels' first compilation takes most of a minute
 
 AT = columns()
-DEFAULT = Settings(
-    lobe=0, rounds=8, robust=2, steps=15, tolerance=3e-6, saturation=np.inf, specular_factor=2.0, irradiance=np.pi, gain=GAIN,
-    mixed=MIXED, prior=PRIOR, plain=False, specular_fit=0, fuse_correlation=False,
-    printed_maps=False, remove=False, gradient=False,
-)  # fmt: skip
-
-
-def run(p: Pixels, precision: str = "float32", **changes: object) -> np.ndarray:
-    kind = np.dtype(precision)
-    settings = DEFAULT._replace(**changes)
-    rows, _ = fit(p.cross.astype(kind), p.parallel.astype(kind), p.view, p.rig, settings, precision)
-    assert np.isfinite(rows).all()
-    return rows
 
 
 def errors(p: Pixels, rows: np.ndarray) -> dict[str, float]:
@@ -43,7 +28,7 @@ def errors(p: Pixels, rows: np.ndarray) -> dict[str, float]:
     return {name: float(np.percentile(values, 95)) for name, values in found.items()}
 
 
-def test_noise_free_ward_and_lambert_come_back_to_the_float32_limit():
+def test_noise_free_ward_and_lambert_come_back_to_the_float32_limit(run):
     p = make(300, sigma=(0.35, 0.15))
     e = errors(p, run(p))
     assert e["n_d"] < 1e-3 and e["n_s"] < 5e-3  # degrees; asked: 0.05
@@ -51,21 +36,21 @@ def test_noise_free_ward_and_lambert_come_back_to_the_float32_limit():
     assert e["tangent"] < 0.1
 
 
-def test_round_lobes_come_back_round_with_no_tangent():
+def test_round_lobes_come_back_round_with_no_tangent(run):
     p = make(200, sigma=(0.2, 0.2), seed=1)
     rows = run(p)
     assert errors(p, rows)["sigma"] < 1e-3
     assert np.all(rows[:, AT["tangent"]] == 0)
 
 
-def test_beckmann_lobes_come_back_by_their_own_form():
+def test_beckmann_lobes_come_back_by_their_own_form(run):
     p = make(300, lobe="beckmann", sigma=(0.35, 0.12), seed=2)
     e = errors(p, run(p, lobe=1))
     assert e["n_s"] < 0.05 and e["sigma"] < 0.01 and e["rho_s"] < 0.01  # renderers' G is 0.35 % off the exact one
 
 
 @pytest.mark.parametrize("lobe", ["ward", "beckmann"])
-def test_strong_anisotropy_survives_noise_and_clipping(lobe):
+def test_strong_anisotropy_survives_noise_and_clipping(lobe, run):
     p = make(400, lobe=lobe, sigma=(0.4, 0.1), noise=1e-3, clip=1.0, seed=3)
     clipped = (p.parallel >= 1.0).any(-1).sum(0)
     assert np.median(clipped) > 0
@@ -73,7 +58,7 @@ def test_strong_anisotropy_survives_noise_and_clipping(lobe):
     assert e["sigma"] < 0.07 and e["tangent"] < 4 and e["n_s"] < 0.3 and e["rho_s"] < 0.05
 
 
-def test_bounding_clipped_samples_beats_taking_them_as_they_are():
+def test_bounding_clipped_samples_beats_taking_them_as_they_are(run):
     p = make(300, sigma=(0.15, 0.15), clip=0.8, seed=4)
     bound, taken = errors(p, run(p, saturation=0.8)), errors(p, run(p))
     assert bound["rho_s"] < 0.01 < taken["rho_s"]
@@ -81,27 +66,27 @@ def test_bounding_clipped_samples_beats_taking_them_as_they_are():
     assert np.isfinite(removed).all()
 
 
-def test_shadowed_lights_do_not_bend_the_normals():
+def test_shadowed_lights_do_not_bend_the_normals(run):
     p = make(300, sigma=(0.3, 0.3), shadow=0.6, noise=1e-4, seed=5)
     robust, printed = errors(p, run(p)), errors(p, run(p, plain=True))
     assert robust["n_d"] < 0.3 < 2 < printed["n_d"]
     assert robust["rho_d"] < 0.01
 
 
-def test_noise_averages_out():
+def test_noise_averages_out(run):
     p = make(400, sigma=(0.3, 0.2), noise=3e-3, seed=6)
     e = errors(p, run(p))
     assert e["n_d"] < 0.5 and e["n_s"] < 0.5 and e["n"] < 0.5 and e["sigma"] < 0.05
 
 
-def test_float64_solves_albedos_to_rounding():
+def test_float64_solves_albedos_to_rounding(run):
     p = make(50, sigma=(0.3, 0.2), seed=7)
     rows = run(p, "float64", tolerance=1e-12)
     assert errors(p, rows)["rho_d"] < 1e-12
     assert errors(p, rows)["rho_s"] < 1e-8
 
 
-def test_lights_of_unequal_intensity_are_told_apart():
+def test_lights_of_unequal_intensity_are_told_apart(run):
     rig = rig_of(200)
     uneven = type(rig)(rig.directions, rig.positions, np.random.default_rng(0).uniform(0.5, 2, 200), rig.solid_angle)
     p = make(100, rig=uneven, sigma=(0.3, 0.3), seed=8)
@@ -109,7 +94,7 @@ def test_lights_of_unequal_intensity_are_told_apart():
     assert e["n_d"] < 0.01 and e["rho_d"] < 1e-4 and e["sigma"] < 0.01
 
 
-def test_every_option_runs_and_the_gradient_baseline_is_worse():
+def test_every_option_runs_and_the_gradient_baseline_is_worse(run):
     p = make(60, sigma=(0.3, 0.3), seed=9)
     best = errors(p, run(p))["n_d"]
     assert errors(p, run(p, gradient=True))["n_d"] > best
@@ -124,15 +109,15 @@ def test_every_option_runs_and_the_gradient_baseline_is_worse():
         assert np.all(run(p, **change)[:, FLAG] == 0)
 
 
-def test_threads_do_not_change_a_bit():
+def test_threads_do_not_change_a_bit(settings):
     p = make(700, sigma=(0.3, 0.2), noise=1e-3, seed=10)
     x, y = p.cross.astype("f4"), p.parallel.astype("f4")
-    one, _ = fit(x, y, p.view, p.rig, DEFAULT, threads=1)
-    two, _ = fit(x, y, p.view, p.rig, DEFAULT, threads=3)
+    one, _ = fit(x, y, p.view, p.rig, settings, threads=1)
+    two, _ = fit(x, y, p.view, p.rig, settings, threads=3)
     assert np.array_equal(one, two)
 
 
-def test_tangents_that_cross_in_one_pixel_keep_the_widths():
+def test_tangents_that_cross_in_one_pixel_keep_the_widths(run):
     a = make(150, lobe="beckmann", sigma=(0.35, 0.12), seed=11, tilt_deg=40)
     turned = np.cos(1.2) * a.tangent + np.sin(1.2) * np.cross(a.normal, a.tangent)
     b = make(150, lobe="beckmann", sigma=(0.35, 0.12), seed=11, tilt_deg=40)
@@ -151,7 +136,7 @@ def test_tangents_that_cross_in_one_pixel_keep_the_widths():
     assert error(single)[1] > 0.3
 
 
-def test_widths_about_a_given_normal_are_those_of_the_lobe():
+def test_widths_about_a_given_normal_are_those_of_the_lobe(run):
     p = make(300, sigma=(0.3, 0.2), seed=3)
     rows = run(p, specular_fit=1)  # the half vectors' normal, held: a tie that its rounding must not stretch
     assert np.median(np.abs(rows[:, AT["sigma"]] / p.sigma - 1)) < 0.004

@@ -33,20 +33,9 @@ def test_signs_of_s1_and_s2_follow_the_displayed_image():
 def test_turning_the_frame_turns_the_angle_and_keeps_the_degree():
     s = _light(50)
     phi = np.asarray(0.3)
-    turned = stokes.rotate(s, phi)
+    turned = np.einsum("ij,nj->ni", mueller.rotation(phi), s)
     np.testing.assert_allclose(stokes.degree(turned), stokes.degree(s), rtol=1e-12)
     np.testing.assert_allclose(stokes.angle_difference(stokes.angle(turned), stokes.angle(s) - 0.3), 0, atol=1e-12)
-    np.testing.assert_allclose(np.einsum("ij,nj->ni", mueller.rotation(phi), s), turned, atol=1e-12)
-
-
-def test_frame_of_a_pixel_is_right_and_up_and_rolls_with_the_camera():
-    ray, up = np.asarray([0.0, 0.0, -1.0]), np.asarray([0.0, 1.0, 0.0])
-    x, y = stokes.frame(ray, up)
-    np.testing.assert_allclose(x, [1, 0, 0], atol=1e-15)
-    np.testing.assert_allclose(y, [0, 1, 0], atol=1e-15)
-    x, y = stokes.frame(ray, np.asarray([1.0, 0.0, 0.0]))  # camera rolled clockwise by 90 degrees
-    np.testing.assert_allclose(x, [0, -1, 0], atol=1e-15)
-    np.testing.assert_allclose(y, [1, 0, 0], atol=1e-15)
 
 
 def test_degree_is_zero_without_light_and_may_exceed_one_from_noise():

@@ -16,7 +16,8 @@ from pipeline.formats.images import read_image, read_stokes, write_exr, write_ma
 from pipeline.geometry.cameras import Camera, camera_from_opengl, save_cameras
 from pipeline.rig.latlong_lights import Y_UP_FROM
 from stages.relight.maps import read_map
-from stages.relight.stage import RelightParameters, needed
+from stages.relight.parameters import RelightParameters
+from stages.relight.stage import needed
 from stages.relight.stage import run as run_stage
 from synth.environments import meadow
 from synth.orbit import look_at, orbit

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,16 +11,21 @@ import pytest
 from pipeline.geometry.cameras import Camera, camera_from_opengl
 from pipeline.report import pictures
 from pipeline.report.curves import line_chart, nice_ticks
-from pipeline.report.figures import headlines, tables, text_of
 from pipeline.report.inspect import nearest_to_axes
-from pipeline.report.page import cost_rows, render, training_curves
+from pipeline.report.render import render
+from stages.metrics import report
+from stages.metrics.report.figures import headlines, tables, text_of
+from stages.metrics.report.page import cost_rows, training_curves
 from synth.orbit import look_at, orbit
+
+REPORT = Path(report.__file__).parent
 
 
 def context(**changes):
     base = {
-        "name": "a <b>capture</b>", "facts": ["16 views"], "tiles": [], "plan": [], "views": [], "environment": [], "relit": [],
-        "olat": [], "curves": [], "costs": cost_rows({"train": {"wall_s": 71.0, "peak_rss_mb": 1200, "outputs": []}}),
+        "text_of": text_of, "name": "a <b>capture</b>", "facts": ["16 views"], "tiles": [], "plan": [], "views": [],
+        "environment": [], "relit": [], "olat": [], "curves": [],
+        "costs": cost_rows({"train": {"wall_s": 71.0, "peak_rss_mb": 1200, "outputs": []}}),
         "tables": [], "warnings": [("decode", "<script>alert(1)</script>")], "parameters": {}, "packages": {},
     }  # fmt: skip
     return {**base, **changes}
@@ -27,7 +33,7 @@ def context(**changes):
 
 def test_report_links_to_nothing_and_escapes_text():
     metrics = {"train": {"psnr_srgb": None, "why": {"psnr_srgb": "no truth <here>"}, "wall_s": 1.0}}
-    page = render("report.html.jinja", context(tables=tables(metrics), tiles=headlines({"mesh": {"chamfer_pct": 0.3}})))
+    page = render("report.html.jinja", context(tables=tables(metrics), tiles=headlines({"mesh": {"chamfer_pct": 0.3}})), REPORT)
     assert "<script>alert" not in page
     assert "a <b>" not in page
     assert "no truth &lt;here&gt;" in page

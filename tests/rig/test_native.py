@@ -52,11 +52,14 @@ def test_a_kernel_with_arrays_of_its_own_is_refused():
 def test_the_olat_fit_runs_without_numba_once_it_is_compiled():
     code = (
         "import sys, numpy as np\n"
-        "from benchmarks.olat_pixels import make, rig_of\n"
-        "from benchmarks.olat_settings import SETTINGS\n"
+        "from pipeline.capture.config import OlatConfig\n"
+        "from stages.olat.parameters import OlatParameters\n"
         "from stages.olat.pixel_fit.many_pixels import fit\n"
+        "from stages.olat.run import settings_of\n"
+        "from synth.olat_pixels import make, rig_of\n"
+        "settings = settings_of(OlatParameters(), OlatConfig(), np.inf)\n"
         "p = make(20, rig=rig_of(60))\n"
-        "rows, _ = fit(p.cross.astype('f4'), p.parallel.astype('f4'), p.view, p.rig, SETTINGS)\n"
+        "rows, _ = fit(p.cross.astype('f4'), p.parallel.astype('f4'), p.view, p.rig, settings)\n"
         "assert np.isfinite(rows).all()\n"
         "print([m for m in ('numba', 'scipy', 'jax', 'torch') if m in sys.modules])\n"
     )

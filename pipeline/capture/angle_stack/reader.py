@@ -18,7 +18,7 @@ from pipeline.capture.naming.files import RAW_SUFFIXES
 from pipeline.capture.naming.grouping import Exposure, Group
 from pipeline.capture.pixels.brackets import read_exposures
 from pipeline.capture.pixels.frame_memory import frame_array
-from pipeline.capture.pixels.linear import LinearImage
+from pipeline.capture.pixels.linear_image import LinearImage
 from pipeline.capture.pixels.row_bands import ROWS, LinearReader
 from pipeline.capture.pixels.stokes_files import finished
 from pipeline.capture.pixels.stokes_frame import apply_stokes_config

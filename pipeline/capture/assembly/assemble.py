@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
 from pipeline.capture.assembly.camera_source import from_colmap
-from pipeline.capture.assembly.sources import Sources
 from pipeline.capture.config import CaptureConfig
 from pipeline.capture.model import Capture, ViewSource
 from pipeline.capture.naming.files import (
@@ -88,11 +86,6 @@ def find_plates(root: Path, config: CaptureConfig, views: tuple[ViewSource, ...]
         if plate is not None:
             plates[view.view] = plate
     return plates, tuple(sorted(set(plates.values())))
-
-
-def with_camera_names(sources: Sources, names: Mapping[str, str]) -> tuple[ViewSource, ...]:
-    """Views with the physical camera that `names` gives them."""
-    return tuple(replace(v, camera=names.get(v.view, v.camera)) for v in sources.views)
 
 
 def folder_camera(paths: tuple[Path, ...], folder: Path, config: CaptureConfig) -> str:

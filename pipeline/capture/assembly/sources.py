@@ -14,7 +14,7 @@ from pipeline.capture.config import CaptureConfig, MosaicConfig
 from pipeline.capture.model import DecodedView, ViewSource
 from pipeline.capture.mosaic.order import order_fault
 from pipeline.capture.mosaic.sensor_files import is_mosaic, mosaic_colour, read_mosaic, refuse_colour
-from pipeline.capture.naming.files import RAW_SUFFIXES, refuse_duplicates, view_name
+from pipeline.capture.naming.files import RAW_SUFFIXES, refuse_duplicates
 from pipeline.capture.naming.grouping import Exposure, Group, group_files
 from pipeline.capture.naming.pages import paged
 from pipeline.capture.pixels.brackets import read_exposures
@@ -52,7 +52,8 @@ def discover(paths: list[Path], folder: Path, config: CaptureConfig, camera_of: 
     """
     inner = paged(paths, config)
     if inner:
-        groups = [Group(view_name(p, folder), {a: (Exposure(p, page=page),) for a, page in inner[p].items()}) for p in paths]
+        names = {p: p.relative_to(folder).with_suffix("").as_posix().replace("/", "_") for p in paths}
+        groups = [Group(names[p], {a: (Exposure(p, page=page),) for a, page in inner[p].items()}) for p in paths]
         _refuse_clashes(groups, folder)
         return _stacks(groups, config, camera_of)
     stokes = [p for p in paths if p.suffix.lower() == ".exr" and holds_stokes(channel_names(p))]

@@ -12,7 +12,7 @@ from pipeline.capture.config import CaptureConfig, MosaicConfig
 from pipeline.capture.naming.files import FLOAT_SUFFIXES, RAW_SUFFIXES
 from pipeline.capture.naming.grouping import Group, group_files
 from pipeline.capture.pixels.brackets import read_exposures
-from pipeline.capture.pixels.linear import LinearImage
+from pipeline.capture.pixels.linear_image import LinearImage
 from pipeline.capture.radiometry.found import factor_of
 from pipeline.errors import UserError
 from pipeline.formats.images import _open, channel_names

@@ -77,11 +77,6 @@ def image_folder(root: Path) -> Path:
     return root
 
 
-def view_name(path: Path, folder: Path) -> str:
-    """VIEW of an image: its path below the image folder without extension, '/' as '_'."""
-    return path.relative_to(folder).with_suffix("").as_posix().replace("/", "_")
-
-
 def refuse_duplicates(named: Iterable[tuple[str, Path]]) -> None:
     """Raise UserError where two files would become the same VIEW (001.png beside 001.exr, a_b.png beside a/b.png)."""
     seen: dict[str, Path] = {}

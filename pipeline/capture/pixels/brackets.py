@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from pipeline.capture.config import RadiometryConfig
 from pipeline.capture.naming.grouping import Exposure
-from pipeline.capture.pixels.linear import LinearImage, read_linear
+from pipeline.capture.pixels.linear import read_linear
+from pipeline.capture.pixels.linear_image import LinearImage
 from pipeline.capture.radiometry.exposure import seconds_told
 from pipeline.errors import UserError
 

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.capture.config import RadiometryConfig
+from pipeline.capture.pixels.linear_image import LinearImage
 from pipeline.errors import UserError
 from pipeline.formats.truncation import refuse_truncated
-
-if TYPE_CHECKING:
-    from pipeline.capture.pixels.linear import LinearImage
 
 SATURATION = 0.98
 
@@ -21,8 +19,6 @@ SATURATION = 0.98
 def read_raw_rgb(path: Path, radiometry: RadiometryConfig) -> LinearImage:
     """A raw photograph demosaiced in the camera's own colours, 0 at black and 1 at white [H, W, 3]. Raises UserError."""
     import rawpy
-
-    from pipeline.capture.pixels.linear import LinearImage
 
     with _opened(path) as raw:
         black, white = _levels(raw, radiometry)

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from pipeline.capture.config import CaptureConfig, RadiometryConfig, StokesConfig
 from pipeline.capture.model import DecodedView
-from pipeline.capture.pixels.linear import LinearImage, fill_holes, read_linear
+from pipeline.capture.pixels.linear import fill_holes, read_linear
+from pipeline.capture.pixels.linear_image import LinearImage
 from pipeline.capture.pixels.stokes_frame import apply_stokes_config
 from pipeline.capture.radiometry.exposure import seconds_told
 from pipeline.capture.radiometry.found import factor_of

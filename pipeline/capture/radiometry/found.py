@@ -21,7 +21,7 @@ from pipeline.errors import UserError
 from pipeline.formats.images import _open, srgb_decode
 
 if TYPE_CHECKING:
-    from pipeline.capture.pixels.linear import LinearImage
+    from pipeline.capture.pixels.linear_image import LinearImage
 
 
 @dataclass(frozen=True)
@@ -244,7 +244,7 @@ def _encoding_of(found: _Codes | None, usual: str) -> str | None:
 
 def _some_rows(exposure: Exposure, radiometry: RadiometryConfig) -> LinearImage:
     """A picture's samples, of large ones bands of rows from top to bottom. Raises UserError."""
-    from pipeline.capture.pixels.linear import LinearImage
+    from pipeline.capture.pixels.linear_image import LinearImage
     from pipeline.capture.pixels.row_bands import ROWS, LinearReader
 
     reader = LinearReader(exposure.path, radiometry, True, exposure.page)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -69,8 +69,3 @@ class DigestCache:
         if self.changed:
             write(self.path, json.dumps(self.known))
             self.changed = False
-
-
-def files_fingerprint(digests: Mapping[str, str]) -> str:
-    """One digest of many files' names and contents."""
-    return digest_json(dict(digests))

@@ -3,21 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
 
 from pipeline.capture import Capture
 from pipeline.engine.stage import Decision, Stage, StageRun
-
-
-@dataclass(frozen=True)
-class DecodeParameters:
-    """How frames are written."""
-
-    precision: Literal["auto", "half", "float"] = field(
-        default="auto", metadata={"help": "of the frames: half floats where they hold the values, or always one"}
-    )
+from stages.calib.decode.parameters import DecodeParameters
 
 
 def needed(capture: Capture, parameters: DecodeParameters) -> Decision:

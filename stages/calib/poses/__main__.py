@@ -1,5 +1,5 @@
 """`python -m stages.calib.poses`: the poses stage alone."""
 
-from pipeline.engine.cli import stage_main
+from stages.__main__ import stage_main
 
 stage_main("poses")

@@ -140,7 +140,6 @@ class Session:
             if focal is None
             else []
         )
-        self.has_prior = focal is not None or bool(told)
         guess = focal or (float(np.median(told)) if told else DEFAULT_FOCAL * max(first.width, first.height))
         return "SIMPLE_RADIAL", [guess, first.width / 2, first.height / 2, 0.0]
 

@@ -15,9 +15,9 @@ from pipeline.errors import UserError
 from pipeline.formats.images import read_mask
 from pipeline.geometry.cameras import Camera, camera_from_frame
 from pipeline.rig.frame_files import frames_root
+from stages.olat.parameters import OlatParameters, every
 from stages.olat.reading.frame_reader import is_half
 from stages.olat.reading.scanline_bands import Band, bands_of
-from stages.olat.stage import OlatParameters, every
 
 PILOT = 150  # pixels on which the lobe is chosen: its share of them is known to 4 percent points
 

@@ -1,4 +1,4 @@
-"""PRF 4.3 with one of jaxopt's solvers, on a band of pixels: n_d, rho_d, n_s, sigma, rho_s, correlation fusion."""
+"""PRF 4.3 with one of the zoo's solvers, on a band of pixels: n_d, rho_d, n_s, sigma, rho_s, correlation fusion."""
 
 from __future__ import annotations
 

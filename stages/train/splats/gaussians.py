@@ -12,7 +12,6 @@ from ..initialise.sampling import SurfaceSamples
 ROUGHNESS_FLOOR = 0.08  # r_min of physics.md 3: sharper lobes than this alias in the prefiltered cube
 IOR_LOW = 1.3  # eta = 1.3 + sigmoid (PhyGaP 9.1, with its slip mended)
 PER_SPLAT = ("anchor", "position", "normal", "log_scale", "opacity", "albedo", "roughness_offset", "ior_offset")
-SHARED = ("roughness", "ior")
 
 
 @dataclass(frozen=True)

@@ -132,12 +132,13 @@ class AngleSums:
 
 @dataclass(frozen=True)
 class AngleFit:
-    """Angle in radians (0..pi), its standard deviation in radians (of independent pixels where `fit_angle` gives it, honest
-    where `fit_views` does), and the share of the variance it explains."""
+    """Angle in radians (0..pi) and its standard deviation in radians.
+
+    The deviation is of independent pixels where `fit_angle` gives it, honest where `fit_views` does.
+    """
 
     angle: float
     std: float
-    explained: float
 
 
 def fit_angle(sums: AngleSums, contrast: float) -> AngleFit:
@@ -161,8 +162,7 @@ def fit_angle(sums: AngleSums, contrast: float) -> AngleFit:
     curvature = bend / step**2 / 2  # half the second derivative
     residual = max(float(mid), 0.0) / max(sums.count - 1, 1.0)
     std = math.sqrt(residual / curvature) if curvature > 0 else math.pi
-    unpolarised = max(sums.squared, 1e-300)  # all-black data explain nothing: 0
-    return AngleFit(angle, min(std, math.pi), 1.0 - float(mid) / unpolarised)
+    return AngleFit(angle, min(std, math.pi))
 
 
 def fit_views(views: Sequence[AngleSums], contrast: float) -> AngleFit:

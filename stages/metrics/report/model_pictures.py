@@ -13,31 +13,11 @@ from pipeline.engine.stage import StageRun
 from pipeline.formats.backdrop import object_pixels
 from pipeline.formats.images import channel_names, read_exr, read_image, read_stokes
 from pipeline.geometry.lens import frames_folder
-
-from . import pictures
+from pipeline.report import pictures
+from pipeline.report.pictures import AOLP_FULL, DOLP_FULL, exposure_of, picture, polarisation
 
 RGB, XYZ, S0 = ("R", "G", "B"), ("X", "Y", "Z"), ("S0.R", "S0.G", "S0.B")
-DOLP_FULL = 0.6  # DoLP at the bright end of its colour scale
-AOLP_FULL = 0.15  # DoLP from which an angle is shown at full brightness
 ERROR_DEG = 30.0  # normal error at the bright end
-
-
-def picture(pixels: NDArray[np.uint8], title: str, text: str, longest: int, place: str = "") -> dict[str, str]:
-    """One figure of a page; place "first" starts a row."""
-    return {"src": pictures.data_uri(pixels, longest), "title": title, "text": text, "place": place}
-
-
-def polarisation(stokes: NDArray) -> tuple[NDArray, NDArray]:
-    """DoLP and AoLP (radians) of the colour mean; 0 where it is dark."""
-    s0, s1, s2 = np.moveaxis(stokes.mean(-1), -1, 0)
-    lit = s0 > 1e-3
-    return np.where(lit, np.hypot(s1, s2) / np.maximum(s0, 1e-3), 0), 0.5 * np.arctan2(s2, s1)
-
-
-def exposure_of(image: NDArray) -> float:
-    """A factor that puts the brightest percent of the object at display white; 1 for images that are bright enough."""
-    bright = image[image.max(-1) > 1e-4]
-    return float(1 / max(np.percentile(bright, 98), 1e-6)) if len(bright) and np.percentile(bright, 98) < 0.6 else 1.0
 
 
 def find_truth(root: Path, kind: str, view: str, names: list[str]) -> Path | None:

@@ -11,31 +11,16 @@ from typing import Any
 
 from pipeline.engine.progress import clock
 from pipeline.engine.stage import StageRun
+from pipeline.report.curves import line_chart
+from pipeline.report.render import render
 
-from .curves import line_chart
 from .figures import headlines, tables, text_of
-
-FOLDER = Path(__file__).parent
-
-
-def render(template: str, context: Mapping[str, Any]) -> str:
-    """Fill a template of this folder; everything is escaped unless the template says otherwise."""
-    import jinja2
-
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(FOLDER),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        undefined=jinja2.StrictUndefined,
-    )
-    environment.globals.update(style=(FOLDER / "style.css").read_text(), text_of=text_of)
-    return environment.get_template(template).render(**context)
 
 
 def write_report(run: StageRun, metrics: dict[str, Any], manifests: Mapping[str, dict[str, Any]]) -> None:
     """Write report.html into the stage's output."""
     context = {
+        "text_of": text_of,
         "name": run.capture.root.name,
         "facts": capture_facts(run),
         "tiles": headlines(metrics),
@@ -60,7 +45,7 @@ def write_report(run: StageRun, metrics: dict[str, Any], manifests: Mapping[str,
 
         context["olat"] = lightstage.olat_cards(run, metrics)
         context["relit"] = lightstage.relit_cards(run) if "relight" in run.inputs else []
-    (run.output / "report.html").write_text(render("report.html.jinja", context), encoding="utf-8")
+    (run.output / "report.html").write_text(render("report.html.jinja", context, Path(__file__).parent), encoding="utf-8")
 
 
 def capture_facts(run: StageRun) -> list[str]:

@@ -9,9 +9,10 @@ import numpy as np
 
 from pipeline.engine.stage import StageRun
 from pipeline.formats.images import read_image
+from pipeline.report import pictures
+from pipeline.report.pictures import picture
 
-from . import pictures
-from .model_pictures import RGB, XYZ, picture
+from .model_pictures import RGB, XYZ
 
 ERROR_FULL = 0.5  # difference over the mean of the frames' sum, at the bright end
 FLAG_COLOURS = ((24, 26, 30), (214, 158, 46), (197, 48, 48), (90, 90, 90), (49, 130, 206), (128, 90, 213))

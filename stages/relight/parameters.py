@@ -1,0 +1,35 @@
+"""Parameters of the relight stage."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+
+@dataclass(frozen=True)
+class RelightParameters:
+    """How the model is lit anew."""
+
+    cube: int = field(default=128, metadata={"help": "texels along a side of the map's cube faces, a power of two (texels)"})
+    occlusion: Literal["auto", "on", "off"] = field(
+        default="auto", metadata={"help": "shadows and one bounce from the mesh; auto: where training modelled them"}
+    )
+    mirror: Literal["split", "lobe-4", "lobe-12", "lobe-24", "lobe-48"] = field(
+        default="lobe-24",
+        metadata={"help": "mirrored light: facets summed over the lobe, or the split sum, which blurs alike in all directions"},
+    )
+    shadow_rays: Literal["vertex", "pixel"] = field(
+        default="vertex",
+        metadata={"help": "shadows from rays of the mesh's vertices, or of every pixel: sharper, seconds a view"},
+    )
+    previews: bool = field(default=True, metadata={"help": "write a PNG beside every EXR"})
+    turntable: int = field(default=0, metadata={"help": "frames of a turntable of the mesh under every map; 0: none (count)"})
+    turntable_size: int = field(default=320, metadata={"help": "width and height of the turntable (px)"})
+
+    def __post_init__(self) -> None:
+        if self.cube not in (16, 32, 64, 128, 256):
+            raise ValueError("cube must be 16, 32, 64, 128 or 256")
+        if not 0 <= self.turntable <= 1000:
+            raise ValueError("turntable must lie between 0 and 1000")
+        if not 16 <= self.turntable_size <= 4096:
+            raise ValueError("turntable_size must lie between 16 and 4096")
