@@ -64,6 +64,7 @@ def _pages(path: Path) -> list[Page]:
     else:
         image = _oiio().ImageInput.open(str(path))
         if image is None:
+            _oiio().geterror()  # or the library prints it at exit
             _open(path).close()  # says why
             return [Page(0, (), ())]
     pages = pages_of(image, path)
