@@ -7,6 +7,7 @@ through untouched: the stage checks them against its own parameters.
 from __future__ import annotations
 
 import dataclasses
+import math
 import tomllib
 import types
 import typing
@@ -41,7 +42,8 @@ class PolariserConfig:
 class RadiometryConfig:
     """From stored numbers to linear radiance. Levels are in the file's own numbers (None: the file tells).
 
-    `saturation` is a fraction of the white level; `exposure_s` maps VIEW (or file stem) to seconds;
+    `saturation` is a fraction of the white level; `exposure_s` maps VIEW (or file name) to seconds; `exif_exposure`: whether
+    exposures that differ between files' headers are divided out (None: unless the pixels contradict them);
     `dark_frame` and `flat_field` are image files relative to the capture; `white_balance` multiplies R, G, B.
     """
 
@@ -50,6 +52,7 @@ class RadiometryConfig:
     encoding: str | None = None
     saturation: float | None = None
     exposure_s: dict[str, float] = field(default_factory=dict)
+    exif_exposure: bool | None = None
     dark_frame: str | None = None
     flat_field: str | None = None
     white_balance: tuple[float, ...] | None = None
@@ -77,6 +80,18 @@ class StackConfig:
     clockwise: bool = False
     zero_deg: float = 0.0
     align: bool = False
+
+
+@dataclass(frozen=True)
+class RawConfig:
+    """Bare samples without a header (.raw): what the file cannot tell. `format` as GenICam names it (Mono8, Mono12p,
+    Mono12Packed, BayerRG16, ...); `offset`: bytes before the first sample."""
+
+    width: int | None = None
+    height: int | None = None
+    format: str | None = None
+    offset: int = 0
+    big_endian: bool = False
 
 
 @dataclass(frozen=True)
@@ -117,6 +132,7 @@ class CaptureConfig:
     radiometry: RadiometryConfig = RadiometryConfig()
     mosaic: MosaicConfig = MosaicConfig()
     stack: StackConfig = StackConfig()
+    raw: RawConfig = RawConfig()
     olat: OlatConfig = OlatConfig()
     poses: PosesConfig = PosesConfig()
     stage: dict[str, dict[str, Any]] = field(default_factory=dict)
@@ -130,7 +146,7 @@ def load_config(root: Path) -> CaptureConfig:
         return CaptureConfig()
     try:
         table = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise UserError(path, f"is not valid TOML: {error}", "correct it; docs/captures.md has an example") from None
     config = _fill(CaptureConfig, table, path, "", hidden=("path",))
     _check(config, path)
@@ -169,16 +185,27 @@ def _convert(hint: Any, value: Any, path: Path, key: str) -> Any:
     if hint is Any:
         return value
     if hint is float:
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise wrong
-        return float(value)
+        return _number(value, wrong, infinite=key.endswith(".extinction"))
     if not isinstance(value, hint) or (hint is int and isinstance(value, bool)):
         raise wrong
     return value
 
 
+def _number(value: Any, wrong: UserError, infinite: bool) -> float:
+    """A finite float; an ideal polariser's extinction may be infinite. Raises `wrong`."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise wrong
+    try:
+        number = float(value)
+    except OverflowError:  # an integer beyond any float
+        raise wrong from None
+    if math.isnan(number) or (math.isinf(number) and not infinite):
+        raise wrong
+    return number
+
+
 def _spoken(hint: Any) -> str:
-    names = {float: "a number", int: "a whole number", bool: "true or false", str: "text"}
+    names = {float: "a number (finite)", int: "a whole number", bool: "true or false", str: "text"}
     origin = typing.get_origin(hint)
     return names.get(hint) or {dict: "a table", tuple: "a list"}.get(origin) or "a table"
 
@@ -199,6 +226,9 @@ def _check(config: CaptureConfig, path: Path) -> None:
     )
     refuse(radiometry.saturation is not None and not 0 < radiometry.saturation <= 1,
            "radiometry.saturation", radiometry.saturation, "a fraction of the white level in (0, 1]")  # fmt: skip
+    white, black = radiometry.white_level, radiometry.black_level
+    refuse(white is not None and white <= (black or 0.0), "radiometry.white_level", white,
+           f"above the black level ({black or 0.0:g})")  # fmt: skip
     for view, seconds in radiometry.exposure_s.items():
         refuse(seconds <= 0, f"radiometry.exposure_s.{view}", seconds, "above 0 seconds")
     balance = radiometry.white_balance
@@ -220,6 +250,11 @@ def _check(config: CaptureConfig, path: Path) -> None:
         mosaic.bayer.upper() not in ("RGGB", "BGGR", "GRBG", "GBRG"), "mosaic.bayer", mosaic.bayer, "RGGB, BGGR, GRBG or GBRG"
     )
     refuse(mosaic.demosaic not in ("carriers", "bilinear"), "mosaic.demosaic", mosaic.demosaic, '"carriers" or "bilinear"')
+    for side in ("width", "height"):
+        number = getattr(config.raw, side)
+        refuse(number is not None and number <= 0, f"raw.{side}", number, "a number of pixels")
+    refuse(config.raw.offset < 0, "raw.offset", config.raw.offset, "a number of bytes")
+    refuse(config.olat.specular_factor <= 0, "olat.specular_factor", config.olat.specular_factor, "above 0")
     refuse(config.olat.irradiance <= 0, "olat.irradiance", config.olat.irradiance, "above 0")
     for name, polariser in config.polarisers.items():
         extinction = polariser.extinction

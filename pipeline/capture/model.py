@@ -56,13 +56,15 @@ class DecodedView:
 
 @dataclass(frozen=True)
 class ViewSource:
-    """One view before decoding: its files, the physical camera behind it, and how to read it."""
+    """One view before decoding: its files, the physical camera behind it, and how to read it; `paged`: one file holds
+    several images, and none of its channels is alpha."""
 
     view: str
     paths: tuple[Path, ...]
     camera: str
     loader: Callable[[], DecodedView] = field(repr=False, compare=False)
     size: tuple[int, int] | None = None
+    paged: bool = False
 
     def read(self) -> DecodedView:
         """Decode this view. Raises UserError naming the file that is unreadable, truncated or of another size."""

@@ -6,11 +6,15 @@ import os
 import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pipeline.errors import UserError
 from pipeline.formats.truncation import refuse_truncated
+
+if TYPE_CHECKING:
+    from pipeline.formats.image_parts import Page
 
 STOKES = tuple(f"S{k}.{c}" for k in range(3) for c in "RGB")
 EXR_COMPRESSION = "zip:2"
@@ -26,42 +30,60 @@ def _oiio():
     return oiio
 
 
-def _open(path: Path):
+def _open(path: Path, page: Page | None = None, unassociated: bool = False, plain: bool = False) -> Any:
+    """An open image: one `page` of a file of several, or what they mean together (`pipeline.formats.image_parts`).
+
+    `unassociated`: alpha not multiplied into colour, as PNG stores it; `plain`: the layer that is the picture goes by R, G, B.
+    Raises UserError.
+    """
+    from pipeline.formats.bare_arrays import ARRAY_SUFFIXES, open_array
+    from pipeline.formats.image_parts import chosen
+
     if not path.is_file():
         raise UserError(path, "no such image", "check the path and the name")
     if path.stat().st_size == 0:
         raise UserError(path, "the file is empty (0 bytes)", "copy it again from its source")
     if path.suffix.lower() == ".png":
         refuse_truncated(path)
-    image = _oiio().ImageInput.open(str(path))
+    if path.suffix.lower() in ARRAY_SUFFIXES:
+        return chosen(open_array(path), path, page, plain)
+    how = _oiio().ImageSpec()
+    if unassociated:
+        how.attribute("oiio:UnassociatedAlpha", 1)
+    image = _oiio().ImageInput.open(str(path), how)
     if image is None:
         raise UserError(path, f"cannot be read as an image ({_first_line(_oiio().geterror())})", "copy it again or remove it")
-    return image
+    try:
+        return chosen(image, path, page, plain)
+    except UserError:
+        image.close()
+        raise
 
 
 def _first_line(text: str) -> str:
     return (text.strip().splitlines() or ["no reason given"])[0]
 
 
-def image_size(path: str | Path) -> tuple[int, int]:
+def image_size(path: str | Path, page: Page | None = None) -> tuple[int, int]:
     """(width, height) in pixels from the header alone. Raises UserError."""
-    image = _open(Path(path))
+    image = _open(Path(path), page)
     spec = image.spec()
     image.close()
     return spec.width, spec.height
 
 
 def channel_names(path: str | Path) -> list[str]:
-    """Channel names in file order, from the header alone. Raises UserError."""
-    image = _open(Path(path))
+    """Channel names in file order, from the header alone, R, G, B for the layer that is the picture. Raises UserError."""
+    image = _open(Path(path), plain=True)
     names = list(image.spec().channelnames)
     image.close()
     return names
 
 
-def read_stored(path: Path) -> tuple[np.ndarray, list[str], str]:
-    """(pixels float32 [H, W, C], channel names, format on disk such as "half"). Raises UserError."""
-    image = _open(path)
+def read_stored(path: Path, plain: bool = False) -> tuple[np.ndarray, list[str], str]:
+    """(pixels float32 [H, W, C], channel names, format on disk such as "half"); `plain`: R, G, B for the layer that is the
+    picture. Raises UserError."""
+    image = _open(path, plain=plain)
     spec = image.spec()
     pixels = image.read_image("float")
     error = _first_line(image.geterror()) if pixels is None else ""
@@ -83,12 +105,17 @@ def read_image(path: str | Path, channels: Sequence[str] | None = None) -> np.nd
 
     Integer files are scaled to 0..1 by their type's maximum. Raises UserError.
     """
+    from pipeline.formats.image_parts import plain_names
+
     path = Path(path)
     pixels, names, _ = read_stored(path)
     if channels is None:
         return pixels
     lower = [name.lower() for name in names]
     missing = [c for c in channels if c.lower() not in lower]
+    if missing:
+        lower = [name.lower() for name in plain_names(tuple(names), path)]
+        missing = [c for c in channels if c.lower() not in lower]
     if missing:
         raise UserError(path, f"no channel {', '.join(missing)} (it has {', '.join(names)})", "export it with these channels")
     return np.stack([pixels[..., lower.index(c.lower())] for c in channels], -1)

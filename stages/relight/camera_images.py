@@ -33,6 +33,7 @@ def relight_stage(run: StageRun) -> None:
                 summed = relight_olat(
                     index, run.capture.root, name, radiance, mask,
                     irradiance=config.irradiance, specular_factor=config.specular_factor, up=up,
+                    decode_folder=index_path.parent,
                 )  # fmt: skip
                 _write(run, path.stem, f"{name}_olat", summed)
                 if "olat" in run.inputs:

@@ -44,6 +44,7 @@ def read(root: Path, config: CaptureConfig) -> Capture:
     for camera in cameras.values():
         files += [*camera.cross, *camera.parallel, *([camera.mask] if camera.mask else [])]
     files += [root / "capture.toml"] if config.path is not None else []
+    files += [root / name for name in (config.radiometry.dark_frame, config.radiometry.flat_field) if name]
     environments = find_environments(root)
     facts = left_out_fact(passes)
     extra = {len(camera.full_light) for camera in cameras.values()} - {0}
@@ -68,6 +69,7 @@ def read(root: Path, config: CaptureConfig) -> Capture:
 def _camera(
     root: Path, folders: CameraFolders, lights: LightTable, table: Path, config: CaptureConfig, found: dict[str, PassFrames]
 ) -> LightStageCamera:
+    from pipeline.capture.assembly.sources import size_of
     from pipeline.formats.images import image_size
 
     passes = {}
@@ -78,7 +80,7 @@ def _camera(
             )
         passes[name] = pass_frames(folders.passes[name], lights, table, config.olat.first_frame)
         found[f"{folders.name}/{name}"] = passes[name]
-    sizes = {name: image_size(p.frames[0]) for name, p in passes.items()}
+    sizes = {name: size_of(p.frames[0]) for name, p in passes.items()}
     if sizes["cross"] != sizes["parallel"]:
         fault = f"is {sizes['parallel']} pixels, the cross pass {sizes['cross']}"
         raise UserError(passes["parallel"].frames[0], fault, "export both passes at one size")

@@ -58,7 +58,7 @@ def read(root: Path, config: CaptureConfig) -> Capture:
         views += [replace(v, view=f"{name}_{v.view}") for v in kept]
         cameras.update({f"{name}_{view}": camera for view, camera in found.items()})
         masks.update({f"{name}_{view}": path for view, path in given.items()})
-        warnings += more + missing
+        warnings += [*here.warnings, *more, *missing]
         files += [*model, *(p for v in kept for p in v.paths), *given.values()]
     environments = find_environments(root)
     return Capture(

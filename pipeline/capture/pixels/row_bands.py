@@ -12,6 +12,7 @@ from pipeline.capture.config import RadiometryConfig
 from pipeline.capture.naming.files import FLOAT_SUFFIXES
 from pipeline.errors import UserError
 from pipeline.formats.exr_zip import open_zip_exr
+from pipeline.formats.image_parts import Page
 from pipeline.formats.images import _first_line, _open, srgb_decode
 
 ROWS = 32
@@ -26,15 +27,20 @@ class LinearReader:
     names, size (width, height), bits (0: float), orientation (EXIF's), exposure_s and encoding are the file's.
     """
 
-    def __init__(self, path: Path, radiometry: RadiometryConfig, sensor_data: bool = False) -> None:
-        """Raises UserError where the file is not there, empty or no image."""
+    def __init__(
+        self, path: Path, radiometry: RadiometryConfig, sensor_data: bool = False, page: Page | None = None
+    ) -> None:
+        """Raises UserError where the file is not there, empty or no image, or holds several and none is chosen (`page`)."""
+        from pipeline.capture.radiometry.of_file import for_file
+
+        radiometry = for_file(radiometry, path)
         self.path, self.radiometry = path, radiometry
-        self._image = _open(path)
+        self._image = _open(path, page, unassociated=page is not None, plain=True)
         spec = self._image.spec()
         self.bits = {"uint8": 8, "uint16": 16, "uint32": 32}.get(str(spec.format), 0)
         if self.bits and "A" in spec.channelnames:
             self._image.close()
-            self._image = _open_unassociated(path)
+            self._image = _open(path, page, unassociated=True, plain=True)
         self.names = tuple(spec.channelnames)
         self.size = (spec.width, spec.height)
         self.orientation = int(spec.get_int_attribute("Orientation", 1)) if path.suffix.lower() != ".hdr" else 1
@@ -104,15 +110,6 @@ class LinearReader:
 
     def _damage(self, reason: str) -> UserError:
         return UserError(self.path, f"the image is truncated or corrupt ({reason})", "copy it again from its source")
-
-
-def _open_unassociated(path: Path) -> Any:
-    """Open with alpha not multiplied into colour, as PNG stores it."""
-    import OpenImageIO as oiio
-
-    config = oiio.ImageSpec()
-    config.attribute("oiio:UnassociatedAlpha", 1)
-    return oiio.ImageInput.open(str(path), config)
 
 
 def code_table(bits: int, radiometry: RadiometryConfig, encoding: str) -> tuple[NDArray[np.float32], int]:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import UserError
+from pipeline.formats.images import _open as open_image
 from stages.olat.reading.scanline_bands import Band, Picked, picked
 from stages.olat.reading.zip_frames import ZipFrames
 
@@ -138,12 +139,7 @@ def _rgb(pixels: NDArray, names: list[str], path: Path) -> NDArray:
 
 
 def _open(path: Path):
-    import OpenImageIO as oiio
-
     if not path.is_file():
         raise UserError(path, "no such frame", "run decode again, or copy the frame back")
-    image = oiio.ImageInput.open(str(path))
-    if image is None:
-        reason = (oiio.geterror().strip().splitlines() or ["no reason given"])[0]
-        raise UserError(path, f"cannot be read as an image ({reason})", "copy it again from its source")
+    image = open_image(path, plain=True)
     return image, image.spec()

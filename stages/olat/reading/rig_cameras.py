@@ -14,6 +14,7 @@ from pipeline.engine.stage import StageRun
 from pipeline.errors import UserError
 from pipeline.formats.images import read_mask
 from pipeline.geometry.cameras import Camera, camera_from_frame
+from pipeline.rig.frame_files import frames_root
 from stages.olat.parameters import OlatParameters, every
 from stages.olat.reading.frame_reader import is_half
 from stages.olat.reading.scanline_bands import Band, bands_of
@@ -41,10 +42,12 @@ def decoded(stage: StageRun) -> dict[str, Any]:
 
 def camera_jobs(stage: StageRun) -> list[CameraJob]:
     """Every camera, with its mask (masks stage, else the capture's, else the whole frame). Raises UserError."""
-    return [_job(stage, name, entry) for name, entry in decoded(stage)["cameras"].items()]
+    index = decoded(stage)
+    frames = frames_root(index, stage.capture.root, stage.inputs["decode"])
+    return [_job(stage, name, entry, frames) for name, entry in index["cameras"].items()]
 
 
-def _job(stage: StageRun, name: str, entry: dict[str, Any]) -> CameraJob:
+def _job(stage: StageRun, name: str, entry: dict[str, Any], frames: Path) -> CameraJob:
     root = stage.capture.root
     parameters: OlatParameters = stage.parameters
     camera = camera_from_frame({"file_path": name, **entry["camera"]}, {}, stage.inputs["decode"] / "olat.json")
@@ -59,7 +62,7 @@ def _job(stage: StageRun, name: str, entry: dict[str, Any]) -> CameraJob:
     if not mask.any():
         raise UserError(path or root, "the mask is all black: no object in this view", "mend the mask")
     step = every(parameters.lights)
-    cross, parallel = ([root / p for p in entry[key]][::step] for key in ("cross", "parallel"))
+    cross, parallel = ([frames / p for p in entry[key]][::step] for key in ("cross", "parallel"))
     half = all(is_half(path) for path in (cross[0], parallel[0]))
     bands = bands_of(mask, len(cross), parameters.band_mb, 2 if half else 4)
     return CameraJob(name, cross, parallel, camera, mask, half, bands)
