@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.errors import UserError
+from pipeline.formats.exr_frame import ExrFrame, exr_frame
 from pipeline.formats.truncation import refuse_truncated
 
 STOKES = tuple(f"S{k}.{c}" for k in range(3) for c in "RGB")
@@ -44,11 +45,16 @@ def _first_line(text: str) -> str:
 
 
 def image_size(path: str | Path) -> tuple[int, int]:
-    """(width, height) in pixels from the header alone. Raises UserError."""
+    """(width, height) in pixels from the header alone (of an EXR: of its display window). Raises UserError."""
+    return picture_frame(path).size
+
+
+def picture_frame(path: str | Path) -> ExrFrame:
+    """Where a file's stored pixels lie in its picture and what becomes of their colours. Raises UserError."""
     image = _open(Path(path))
     spec = image.spec()
     image.close()
-    return spec.width, spec.height
+    return exr_frame(spec, Path(path))
 
 
 def channel_names(path: str | Path) -> list[str]:
@@ -60,16 +66,20 @@ def channel_names(path: str | Path) -> list[str]:
 
 
 def read_stored(path: Path) -> tuple[np.ndarray, list[str], str]:
-    """(pixels float32 [H, W, C], channel names, format on disk such as "half"). Raises UserError."""
+    """(pixels float32 [H, W, C], channel names, format on disk such as "half"). Raises UserError.
+
+    Of an EXR: its display window, in Rec. 709 (`exr_frame`).
+    """
     image = _open(path)
     spec = image.spec()
+    frame = exr_frame(spec, path)
     pixels = image.read_image("float")
     error = _first_line(image.geterror()) if pixels is None else ""
     image.close()
     if pixels is None:
         raise UserError(path, f"the image is truncated or corrupt ({error})", "copy it again from its source")
     pixels = np.asarray(pixels, np.float32).reshape(spec.height, spec.width, -1)
-    return pixels, list(spec.channelnames), str(spec.format)
+    return frame.picture(pixels, spec.channelnames), list(spec.channelnames), str(spec.format)
 
 
 def read_exr(path: str | Path) -> dict[str, np.ndarray]:

@@ -16,6 +16,7 @@ from pipeline.capture.pixels.linear import fill_holes, read_linear
 from pipeline.capture.pixels.linear_image import LinearImage
 from pipeline.capture.pixels.stokes_frame import apply_stokes_config
 from pipeline.errors import UserError
+from pipeline.formats.exr_frame import primaries_remark
 from pipeline.formats.images import STOKES
 
 GREY_STOKES = (("S0.Y", "S1.Y", "S2.Y"), ("S0", "S1", "S2"))
@@ -44,6 +45,7 @@ def stokes_exr_loader(path: Path, config: CaptureConfig) -> Callable[[], Decoded
         image = read_linear(path, replace(config.radiometry, encoding="linear"))
         stokes = apply_stokes_config(stokes_of(image, path), config.stokes)
         view = finished(DecodedView(stokes=stokes, saturated=image.saturated, alpha=image.alpha), path)
+        view.faults |= primaries_remark(image.frame)
         if config.stokes == StokesConfig() and is_verbatim(view, image, path, STOKES, config):
             view.verbatim = path
         return view
@@ -57,6 +59,7 @@ def is_verbatim(view: DecodedView, image: LinearImage, path: Path, names: tuple[
     return (
         path.suffix.lower() == ".exr"
         and set(names) <= set(image.names)
+        and (image.frame is None or image.frame.is_plain)
         and radiometry == RadiometryConfig()
         and not view.faults
     )
@@ -82,6 +85,8 @@ def finished(view: DecodedView, path: Path, image: LinearImage | None = None, wh
         assert pixels is not None
         view.saturated, faults = mended(pixels, view.saturated, path)
         view.faults |= faults
+    if image is not None:
+        view.faults |= primaries_remark(image.frame)
     if image is not None and image.orientation != 1:
         view.faults[f"EXIF rotation {image.orientation} is not applied: frames stay as the sensor saw them"] = 0
     if image is not None and image.bits == 8:
