@@ -10,7 +10,8 @@ from pipeline.capture.config import load_config
 from pipeline.capture.layouts import all_layouts
 from pipeline.capture.model import Capture
 from pipeline.capture.naming.files import UNREADABLE, some
-from pipeline.errors import UserError
+from pipeline.errors import UserError, nearest
+from pipeline.geometry.camera_check import refuse_one_place
 
 SHOWN = 12
 """Entries of an unknown folder that its error message lists."""
@@ -42,10 +43,10 @@ def open_capture(path: Path | str) -> Capture:
         if not chosen:
             names = ", ".join(layout.name for layout in layouts)
             raise UserError(root / "capture.toml", f"layout = {config.layout!r} is not a layout", f"known: {names}")
-        return _with_foreign_files(chosen[0].read(root, config))
+        return _checked(chosen[0].read(root, config))
     for layout in layouts:
         if layout.recognise(root):
-            return _with_foreign_files(layout.read(root, config))
+            return _checked(layout.read(root, config))
     looked = "; ".join(f"{layout.name}: {layout.looks_like}" for layout in layouts)
     found = ", ".join(entries[:SHOWN]) + (f" and {len(entries) - SHOWN} more" if len(entries) > SHOWN else "")
     raise UserError(
@@ -53,6 +54,19 @@ def open_capture(path: Path | str) -> Capture:
         f"no known capture layout. Found: {found}. Looked for {looked}",
         "see docs/captures.md, or set `layout` in capture.toml",
     )
+
+
+def _checked(capture: Capture) -> Capture:
+    """The capture, if what its parts say fits together. Raises UserError."""
+    if capture.kind == "multiview":
+        if capture.cameras:
+            refuse_one_place(capture.cameras, capture.camera_file)
+        names = {view.view for view in capture.views}
+        unknown = [name for name in capture.config.poses.scale_pair or () if name not in names]
+        if unknown:
+            fault = f"poses.scale_pair names {unknown[0]!r}, but no view has this name"
+            raise UserError(capture.config.path or capture.root, fault, nearest(unknown[0], names))
+    return _with_foreign_files(capture)
 
 
 def _with_foreign_files(capture: Capture) -> Capture:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
@@ -13,8 +12,13 @@ from numpy.typing import NDArray
 from pipeline.capture.model import ViewSource
 from pipeline.capture.naming.files import count, some
 from pipeline.errors import UserError
+from pipeline.formats.arrays import read_arrays
 from pipeline.formats.colmap import find_model, model_files, read_model
+from pipeline.geometry.camera_check import check_camera
 from pipeline.geometry.cameras import Camera
+
+SINGULAR = 1e-12
+"""Inverse condition number; that of K R is about one over the focal length in pixels."""
 
 
 def from_colmap(
@@ -78,11 +82,7 @@ def from_idr(path: Path, views: list[str], sizes: Mapping[str, tuple[int, int]])
     World units are those of world_mat; scale_mat, which maps a unit sphere to the object, is left to those who need it.
     Pixel centres are taken at +0.5. Raises UserError.
     """
-    try:
-        with np.load(path) as archive:
-            table = {name: np.asarray(archive[name], float) for name in archive.files}
-    except (OSError, ValueError, zipfile.BadZipFile, EOFError) as error:
-        raise UserError(path, f"cannot be read ({error})", "copy it again from its source") from None
+    table = read_arrays(path, lambda name: name.startswith("world_mat_"))
     numbers = sorted(int(k.rsplit("_", 1)[1]) for k in table if k.startswith("world_mat_") and k.rsplit("_", 1)[1].isdigit())
     if not numbers:
         raise UserError(path, "has no world_mat_0, world_mat_1, ...", "write the file as IDR, NeuS and PANDORA do")
@@ -92,9 +92,14 @@ def from_idr(path: Path, views: list[str], sizes: Mapping[str, tuple[int, int]])
         matrix = table[f"world_mat_{i}"]
         if matrix.shape not in ((4, 4), (3, 4)) or not np.isfinite(matrix).all():
             raise UserError(path, f"world_mat_{i} is not a finite 4x4 matrix", "export the cameras again")
+        with np.errstate(all="ignore"):
+            singular = not 1 / np.linalg.cond(matrix[:3, :3]) > SINGULAR
+        if singular:
+            raise UserError(path, f"world_mat_{i} is no camera: its left 3x3 part is singular", "export the cameras again")
         k, pose = decompose(matrix[:3])
         w, h = sizes[view]
-        cameras[view] = Camera(w, h, k[0, 0], k[1, 1], k[0, 2], k[1, 2], pose)
+        camera = Camera(w, h, k[0, 0], k[1, 1], k[0, 2], k[1, 2], pose)
+        cameras[view] = check_camera(camera, path, f"world_mat_{i}")
     return cameras
 
 

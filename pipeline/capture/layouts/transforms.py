@@ -27,10 +27,12 @@ from pipeline.capture.naming.files import (
 from pipeline.capture.naming.grouping import Group
 from pipeline.errors import UserError
 from pipeline.formats.images import channel_names, image_size
+from pipeline.formats.json_file import read_json
 from pipeline.geometry.cameras import Camera, camera_from_frame
 
 FILE = "transforms.json"
 DEFAULT_CAMERA = "camera"
+LONGEST_NAME = 4096  # Linux's PATH_MAX
 MISPLACED = "put the images where file_path says"
 
 
@@ -172,16 +174,19 @@ def camera_of_view(frame: dict[str, Any], table: dict[str, Any], view: ViewSourc
 
 def load_table(path: Path) -> dict[str, Any]:
     """The parsed transforms.json with at least one frame. Raises UserError."""
-    try:
-        table = json.loads(path.read_text(encoding="utf-8-sig"))
-    except (OSError, ValueError) as error:
-        raise UserError(path, f"is not valid JSON ({error})", "export it again") from None
+    table = read_json(path)
     frames = table.get("frames") if isinstance(table, dict) else None
     if not isinstance(frames, list) or not frames:
         raise UserError(path, "holds no frames", 'it needs "frames": [{"file_path", "transform_matrix"}, ...]')
     for frame in frames:
         if not isinstance(frame, dict) or not isinstance(frame.get("file_path"), str):
             raise UserError(path, "a frame has no file_path", "name the image of every frame")
+        if not isinstance(frame.get("mask_path") or "", str):
+            fault = f"frame {frame['file_path']}: mask_path = {frame['mask_path']!r} is not text"
+            raise UserError(path, fault, "name the frame's mask, or leave it out")
+        for key in ("file_path", "mask_path"):
+            if len(frame.get(key) or "") > LONGEST_NAME or "\0" in (frame.get(key) or ""):
+                raise UserError(path, f"a frame's {key} is no file name ({frame[key][:40]!r}...)", "name the frame's file")
     return table
 
 

@@ -13,8 +13,9 @@ from pipeline.capture import LightStage, LightStageCamera
 from pipeline.capture.naming.files import some
 from pipeline.engine.stage import StageRun
 from pipeline.errors import UserError
-from pipeline.formats.images import read_image
-from pipeline.geometry.cameras import opengl_from_camera
+from pipeline.formats.exr_frame import primaries_remark
+from pipeline.formats.images import picture_frame, read_image
+from pipeline.geometry.cameras import frame_of
 from stages.calib.decode.plateau import PlateauSearch
 
 BATCH = 8
@@ -48,6 +49,9 @@ def index_light_stage(stage: StageRun) -> None:
                 if wrong:
                     bad[path] = wrong
                 bar.advance()
+    for camera in light_stage.cameras.values():
+        for fault in primaries_remark(picture_frame(camera.cross[0])):
+            stage.warn(f"{camera.cross[0]}: {fault}")
     level = _told_level(stage) or search.level()
     clipped = [path for path, top in tops.items() if level is not None and top >= level]
     samples = _clipped_fraction(clipped, level, frames)
@@ -94,11 +98,8 @@ def _table(light_stage: LightStage, root: Path, level: float | None, fraction: f
             "full_light": [relative(p) for p in camera.full_light],
             "width": c.width,
             "height": c.height,
-            "camera": {
-                "fl_x": c.fx, "fl_y": c.fy, "cx": c.cx, "cy": c.cy, "w": c.width, "h": c.height,
-                "distortion": list(c.distortion), "transform_matrix": opengl_from_camera(c.world_to_camera).tolist(),
-            },
-        }  # fmt: skip
+            "camera": frame_of(c),
+        }
     return {
         "schema": 1,
         "cameras": cameras,
