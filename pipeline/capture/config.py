@@ -11,12 +11,18 @@ import math
 import tomllib
 import types
 import typing
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from pipeline.errors import UserError
 
+MARKERS = (
+    *(f"{n}X{n}_{count}" for n in (4, 5, 6, 7) for count in (50, 100, 250, 1000)),
+    *("ARUCO_ORIGINAL", "ARUCO_MIP_36H12", "APRILTAG_16H5", "APRILTAG_25H9", "APRILTAG_36H10", "APRILTAG_36H11"),
+)
+"""OpenCV's predefined marker dictionaries, upper case."""
 UP_AXES = ("y", "-y", "z", "-z", "x", "-x")
 
 
@@ -146,8 +152,10 @@ def load_config(root: Path) -> CaptureConfig:
         return CaptureConfig()
     try:
         table = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
         raise UserError(path, f"is not valid TOML: {error}", "correct it; docs/captures.md has an example") from None
+    except RecursionError:
+        raise UserError(path, "is not valid TOML: nested too deeply", "correct it; docs/captures.md has an example") from None
     config = _fill(CaptureConfig, table, path, "", hidden=("path",))
     _check(config, path)
     return dataclasses.replace(config, path=path)
@@ -219,6 +227,7 @@ def _check(config: CaptureConfig, path: Path) -> None:
 
     refuse(config.up is not None and config.up not in UP_AXES, "up", config.up, f"one of {', '.join(UP_AXES)}")
     refuse(config.unit_m is not None and config.unit_m <= 0, "unit_m", config.unit_m, "above 0")
+    _check_poses(config.poses, refuse)
     refuse(config.stokes.scale == 0, "stokes.scale", config.stokes.scale, "a factor other than 0")
     radiometry = config.radiometry
     refuse(
@@ -259,3 +268,14 @@ def _check(config: CaptureConfig, path: Path) -> None:
     for name, polariser in config.polarisers.items():
         extinction = polariser.extinction
         refuse(extinction is not None and extinction <= 1, f"polarisers.{name}.extinction", extinction, "above 1")
+
+
+def _check_poses(poses: PosesConfig, refuse: Callable[[bool, str, object, str], None]) -> None:
+    for key in ("focal_px", "scale_distance", "marker_length"):
+        value = getattr(poses, key)
+        refuse(value is not None and value <= 0, f"poses.{key}", value, "above 0")
+    pair = poses.scale_pair
+    refuse(pair is not None and len(set(pair)) != 2, "poses.scale_pair", pair, "two views")
+    refuse((pair is None) != (poses.scale_distance is None), "poses.scale_pair", pair, "given with a scale_distance")
+    refuse(poses.marker_dictionary.upper() not in MARKERS, "poses.marker_dictionary", poses.marker_dictionary,
+           f"one of OpenCV's: {', '.join(MARKERS[:4])}, ... {MARKERS[-1]}")  # fmt: skip

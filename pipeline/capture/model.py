@@ -144,6 +144,12 @@ class Capture:
             return tuple(sorted(self.light_stage.cameras))
         return tuple(sorted({view.camera for view in self.views}))
 
+    @property
+    def camera_file(self) -> Path:
+        """The file that its cameras are read from (readers list it first), else the folder."""
+        pictures = {path for view in self.views for path in view.paths}
+        return next((path for path in self.files if path not in pictures), self.root)
+
     def view(self, name: str) -> ViewSource:
         """The view called `name`; KeyError if there is none."""
         for view in self.views:

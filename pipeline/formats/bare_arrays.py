@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import UserError
+from pipeline.formats.arrays import read_array
 
 ARRAY_SUFFIXES = frozenset({".npy", ".raw"})
 FORMAT = re.compile(r"^(mono|bayer(?:rg|gb|gr|bg)|rgb|polarized\w*mono)(8|10|12|14|16)(p|packed)?$", re.IGNORECASE)
@@ -78,12 +79,9 @@ def open_array(path: Path) -> ArrayInput:
 
 def _open_npy(path: Path) -> ArrayInput:
     """[H, W] or [H, W, 1]: grey; [H, W, 3]: colour; [H, W, 4] and [4, H, W]: four planes, whose meaning is looked for."""
-    try:
-        array = np.load(path)
-    except (OSError, ValueError, EOFError) as error:
-        raise UserError(path, f"cannot be read ({error})", "copy it again from its source") from None
+    array = read_array(path)
     shape = f"holds an array of shape {array.shape}"
-    if not isinstance(array, np.ndarray) or array.dtype.kind not in "uif" or array.ndim not in (2, 3) or 0 in array.shape:
+    if array.dtype.kind not in "uif" or array.ndim not in (2, 3) or 0 in array.shape:
         raise UserError(path, f"{shape} and type {array.dtype}", "expected numbers [H, W] or [H, W, 3]")
     if array.ndim == 2:
         array = array[..., None]

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.errors import UserError
+from pipeline.formats.exr_frame import ExrFrame, exr_frame
 from pipeline.formats.truncation import refuse_truncated
 
 if TYPE_CHECKING:
@@ -65,11 +66,16 @@ def _first_line(text: str) -> str:
 
 
 def image_size(path: str | Path, page: Page | None = None) -> tuple[int, int]:
-    """(width, height) in pixels from the header alone. Raises UserError."""
+    """(width, height) in pixels from the header alone (of an EXR: of its display window). Raises UserError."""
+    return picture_frame(path, page).size
+
+
+def picture_frame(path: str | Path, page: Page | None = None) -> ExrFrame:
+    """Where a file's stored pixels lie in its picture and what becomes of their colours. Raises UserError."""
     image = _open(Path(path), page)
     spec = image.spec()
     image.close()
-    return spec.width, spec.height
+    return exr_frame(spec, Path(path))
 
 
 def channel_names(path: str | Path) -> list[str]:
@@ -82,16 +88,20 @@ def channel_names(path: str | Path) -> list[str]:
 
 def read_stored(path: Path, plain: bool = False) -> tuple[np.ndarray, list[str], str]:
     """(pixels float32 [H, W, C], channel names, format on disk such as "half"); `plain`: R, G, B for the layer that is the
-    picture. Raises UserError."""
+    picture. Raises UserError.
+
+    Of an EXR: its display window, in Rec. 709 (`exr_frame`).
+    """
     image = _open(path, plain=plain)
     spec = image.spec()
+    frame = exr_frame(spec, path)
     pixels = image.read_image("float")
     error = _first_line(image.geterror()) if pixels is None else ""
     image.close()
     if pixels is None:
         raise UserError(path, f"the image is truncated or corrupt ({error})", "copy it again from its source")
     pixels = np.asarray(pixels, np.float32).reshape(spec.height, spec.width, -1)
-    return pixels, list(spec.channelnames), str(spec.format)
+    return frame.picture(pixels, spec.channelnames), list(spec.channelnames), str(spec.format)
 
 
 def read_exr(path: str | Path) -> dict[str, np.ndarray]:

@@ -16,6 +16,7 @@ from pipeline.engine.plan import Step, plan_as_json
 from pipeline.errors import UserError
 from pipeline.formats.images import read_image, write_fault
 from pipeline.geometry.cameras import Camera
+from pipeline.geometry.viewing_axes import nearest_to_axes
 
 from . import pictures
 from .pictures import AOLP_FULL, DOLP_FULL, exposure_of, picture, polarisation
@@ -219,15 +220,6 @@ def scene_of(capture: Capture) -> dict[str, Any]:
             }
         )
     return {"cameras": out, "lights": _round((lights - middle) / radius @ turn.T)}
-
-
-def nearest_to_axes(centres: NDArray, axes: NDArray) -> NDArray[np.float64]:
-    """The point nearest to all viewing axes (least squares); the centres' mean where the axes are parallel."""
-    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
-    total = across.sum(0)
-    if np.linalg.cond(total) > 1e6:
-        return centres.mean(0)
-    return np.linalg.solve(total, np.einsum("nij,nj->i", across, centres))
 
 
 def _round(values: NDArray) -> Any:

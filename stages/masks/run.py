@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.capture.naming.files import some
+from pipeline.capture.naming.files import count, some
 from pipeline.engine.stage import StageRun
 from pipeline.errors import UserError
 from pipeline.formats.images import read_image, read_stokes, write_png
 from pipeline.geometry.cameras import Camera
-from pipeline.geometry.lens import Straightener, frame_table, frames_folder, lenses
+from pipeline.geometry.lens import frame_table, frames_folder, lenses
+from pipeline.geometry.worlds import ONE_WORLD
 from stages.masks.parameters import choose_method
 
 THRESHOLD = 127
@@ -32,13 +33,21 @@ def make_masks(stage: StageRun) -> None:
     for name, mask in sorted(pixels.items()):
         write_png(stage.output / f"{name}.png", mask)
         views[name] = {"method": methods[name], "coverage": float((mask > THRESHOLD).mean())}
+        if views[name]["coverage"] == 0:
+            views[name]["left_out"] = "the mask is empty"
+    refuse_two_worlds(stage, pixels)
     if stage.parameters.hull_check and stage.capture.kind == "multiview":
         flag_disagreement(stage, pixels, views)
     if stage.capture.polarisation == "stokes":
         say_if_frame_looks_wrong(stage, pixels)
     empty = [name for name in sorted(views) if views[name]["coverage"] == 0]
+    if len(empty) == len(views):
+        raise UserError(stage.capture.root, "no view shows the object: every mask is empty", "give masks/, white on the object")
     if empty:
-        stage.warn(f"{stage.output.name}: the object was not found in {', '.join(empty[:4])}: these views are black")
+        stage.warn(
+            f"{stage.capture.root}: the mask is empty in {count(empty, 'view')} ({some(empty)}), which nothing is learnt from: "
+            "look at the masks"
+        )
     table = {"schema": 1, "method": method, "reason": reason, "views": views}
     (stage.output / "masks.json").write_text(json.dumps(table, indent=1) + "\n", encoding="utf-8")
 
@@ -69,6 +78,22 @@ def flag_disagreement(stage: StageRun, masks: dict[str, NDArray[np.uint8]], view
         stage.warn(f"{stage.capture.root}: most masks disagree with each other: are cameras and masks of the same views?")
 
 
+def refuse_two_worlds(stage: StageRun, masks: dict[str, NDArray[np.uint8]]) -> None:
+    """Raise UserError where two physical cameras have poses of two worlds: each one's masks agree, not with the other's."""
+    from stages.masks.segment import cameras_of
+
+    if stage.capture.kind != "multiview" or len(stage.capture.camera_names) < 2:
+        return
+    from stages.masks.worlds import other_world
+
+    cameras = cameras_of(stage)
+    names = [name for name in sorted(masks) if name in cameras and (masks[name] > THRESHOLD).any()]
+    small = [shrunk(masks[name], cameras[name]) for name in names]
+    pair = other_world([mask for mask, _ in small], [camera for _, camera in small])
+    if pair is not None:
+        raise UserError(stage.capture.root, f"the masks of {pair[0]} and {pair[1]} have no common hull", ONE_WORLD)
+
+
 CONTOUR_VIEWS = 12
 
 
@@ -97,8 +122,13 @@ def shrunk(mask: NDArray[np.uint8], camera: Camera) -> tuple[NDArray[np.bool_], 
 
 
 def given_mask(path: Path) -> NDArray[np.uint8]:
-    """A given mask's first channel as 8 bits [H, W]. Raises UserError if it is all black."""
-    mask = np.round(np.clip(read_image(path)[..., 0], 0, 1) * 255).astype(np.uint8)
+    """A given mask's first channel as 8 bits [H, W]. Raises UserError."""
+    return np.round(np.clip(read_image(path)[..., 0], 0, 1) * 255).astype(np.uint8)
+
+
+def rig_mask(path: Path) -> NDArray[np.uint8]:
+    """The mask of a light stage's camera, of which each counts. Raises UserError if it is all black."""
+    mask = given_mask(path)
     if not (mask > THRESHOLD).any():
         raise UserError(
             path, "the mask is all black: no object in this view", "mend it, or remove it to have the view segmented"
@@ -115,7 +145,7 @@ def light_stage_masks(stage: StageRun, method: str) -> dict[str, tuple[NDArray[n
         if method == "none":
             out[name] = np.full((camera.camera.height, camera.camera.width), 255, np.uint8), "none"
         elif camera.mask is not None and method != "matte":
-            out[name] = given_mask(camera.mask), "given"
+            out[name] = rig_mask(camera.mask), "given"
         else:
             from stages.masks.matte import light_stage_matte
 
@@ -133,7 +163,7 @@ def multiview_masks(stage: StageRun, method: str) -> dict[str, tuple[NDArray[np.
         given = stage.capture.masks if isinstance(stage.capture.masks, dict) else {}
         for view, path in given.items():
             mask = given_mask(path)
-            out[view] = Straightener(bent[view]).mask(mask) if view in bent else mask, "given"
+            out[view] = bent[view].mask(mask) if view in bent else mask, "given"
     elif method == "alpha":
         for view, frame in frames.items():
             if frame["alpha"]:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import UserError
+from pipeline.geometry.world import offset_told
 
 from .table import Table
 
@@ -55,7 +56,8 @@ def read_mesh(path: Path) -> tuple[NDArray, NDArray]:
 def mesh_table(folder: Path, truth: Path, count: int) -> Table:
     """Figures of mesh.ply."""
     table = Table()
-    mesh = read_mesh(folder / "mesh.ply")
+    vertices, faces = read_mesh(folder / "mesh.ply")
+    mesh = vertices + offset_told(folder / "mesh.ply"), faces
     table.figures["triangles"] = len(mesh[1])
     if truth.is_file():
         table.figures |= surface_figures(mesh, read_mesh(truth), count)

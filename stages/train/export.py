@@ -11,6 +11,7 @@ import numpy as np
 import torch
 
 from pipeline.formats.images import STOKES, write_exr, write_rgb
+from pipeline.geometry.world import ply_comment
 
 from .render_view import Rendered
 from .splats.gaussians import SplatModel, to_numpy
@@ -85,8 +86,10 @@ def write_view(path: Path, channels: Mapping[str, np.ndarray]) -> None:
     write_exr(path, channels)
 
 
-def write_gaussians(path: Path, model: SplatModel, frame: SceneFrame) -> None:
+def write_gaussians(path: Path, model: SplatModel, frame: SceneFrame, offset: np.ndarray | None = None) -> None:
     """gaussians.ply as 3DGS and 2DGS viewers read it: raw opacity (logit), log scales, wxyz quaternions; in the world.
+
+    `offset` [3] was taken from all world positions (`pipeline.geometry.world`): a comment tells it.
 
     A third, very small scale makes viewers that know only 3D Gaussians show discs.
     """
@@ -114,7 +117,7 @@ def write_gaussians(path: Path, model: SplatModel, frame: SceneFrame) -> None:
     for k, c in enumerate("rgb"):
         columns[f"albedo_{c}"] = values["albedo"][:, k]
     columns["ior"], columns["roughness"] = values["ior"], values["roughness"]
-    header = ["ply", "format binary_little_endian 1.0", f"element vertex {count}"]
+    header = ["ply", "format binary_little_endian 1.0", *ply_comment(offset), f"element vertex {count}"]
     header += [f"property float {name}" for name in columns] + ["end_header", ""]
     table = np.stack([np.asarray(v, "<f4") for v in columns.values()], -1)
     path.write_bytes("\n".join(header).encode() + np.ascontiguousarray(table).tobytes())

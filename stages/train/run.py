@@ -17,7 +17,8 @@ import numpy as np
 import torch
 
 from pipeline.engine.progress import Bar
-from pipeline.geometry.lens import frames_folder
+from pipeline.geometry.cameras import world_offset
+from pipeline.geometry.lens import CAMERAS, frames_folder
 
 from . import checkpoint, export
 from .initialise.points import read_points
@@ -202,7 +203,7 @@ def write_results(trainer: Trainer, start: Start, sources: list[SourceView], sta
                 channels = export.with_normals(channels, normals, view, frame)
                 export.write_view(output / "test" / f"{source.name}.exr", channels)
             bar.advance()
-    export.write_gaussians(output / "gaussians.ply", trainer.scene.model, frame)
+    export.write_gaussians(output / "gaussians.ply", trainer.scene.model, frame, world_offset(stage.inputs["poses"] / CAMERAS))
     export.write_environment(output / "env.exr", trainer.scene.environment.radiance(), frame)
     export.write_polarisers(output / "polarisers.json", trainer.scene.bank)
     facts = {

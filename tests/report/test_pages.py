@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from pipeline.geometry.cameras import Camera, camera_from_opengl
+from pipeline.geometry.viewing_axes import nearest_to_axes
 from pipeline.report import pictures
 from pipeline.report.curves import line_chart, nice_ticks
-from pipeline.report.inspect import nearest_to_axes
 from pipeline.report.render import render
 from stages.metrics import report
 from stages.metrics.report.figures import headlines, tables, text_of

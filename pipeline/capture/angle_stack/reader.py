@@ -132,7 +132,7 @@ def _open_angle(exposures: Sequence[Exposure], config: CaptureConfig, first: _An
         return _Angle(path, image, size, copy, lambda: None, edges)
     reader, factor = LinearReader(path, radiometry, page=exposures[0].page), np.float32(factor_of(radiometry, path))
     facts = LinearImage(np.empty((0, 0, len(reader.names)), np.float32), reader.names, np.empty((0, 0), bool), reader.bits,
-                        reader.orientation, reader.exposure_s, reader.encoding)  # fmt: skip
+                        reader.orientation, reader.exposure_s, reader.encoding, reader.frame)  # fmt: skip
 
     def fill(start: int, stop: int, out: NDArray[np.float32], invalid: NDArray[np.bool_]) -> None:
         if reader.names == ("R", "G", "B"):

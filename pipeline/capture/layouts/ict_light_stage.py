@@ -17,7 +17,9 @@ from pipeline.capture.light_stage.tables import read_light_table, table_beside
 from pipeline.capture.model import Capture, LightStage, LightStageCamera, LightTable
 from pipeline.capture.naming.files import find_environments
 from pipeline.errors import UserError
+from pipeline.geometry.camera_check import check_camera
 from pipeline.geometry.cameras import OPENGL_FROM_OPENCV, Camera
+from pipeline.geometry.straight_camera import unreached
 
 FORMAT = "add it (lines #focal length, #principal point, #resolution, #distortion coeffs, MATRIX :), or remove the folder"
 
@@ -126,14 +128,13 @@ def read_camera(path: Path, width: int, height: int, name: str = "camera", disto
 
     focal, centre, full = (block(title, 1, 2)[0] for title in ("#focal", "#principal", "#resolution"))
     world_from_gl = block("matrix", 4, 4)
-    rotation = world_from_gl[:3, :3]
-    if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3 or np.linalg.det(rotation) < 0:
-        raise UserError(path, "its matrix holds no rotation", "give camera-to-world, OpenGL axes, row by row")
     if focal.min() <= 0 or full.min() <= 0:
         raise UserError(path, f"focal length {focal.tolist()} or resolution {full.tolist()} is not above 0", "mend it")
+    if np.linalg.matrix_rank(world_from_gl) < 4:
+        raise UserError(path, "its matrix holds no rotation", "give camera-to-world, OpenGL axes, row by row")
     scale = height / full[1]
     coefficients = tuple(block("#distortion", 1, 4)[0]) if distortion else ()
-    return Camera(
+    camera = Camera(
         width=width,
         height=height,
         fx=focal[0] * scale,
@@ -144,6 +145,10 @@ def read_camera(path: Path, width: int, height: int, name: str = "camera", disto
         distortion=coefficients,
         name=name,
     )
+    if unreached(check_camera(camera, path, name)) > 0:
+        fault = f"its distortion ({', '.join(f'{k:g}' for k in coefficients)}) folds within the image"
+        raise UserError(path, fault, "check the coefficients, or set olat.distortion = false")
+    return camera
 
 
 LAYOUT = Layout(

@@ -134,8 +134,6 @@ def pictures_of(root: Path, frames: list[NerfFrame]) -> tuple[Path, list[Path], 
 def mask_of(frame: NerfFrame) -> Path:
     """The file of a frame's mask_path."""
     told = frame.told["mask_path"]
-    if not isinstance(told, str):
-        raise UserError(frame.where, f"frame {frame.told['file_path']}: mask_path is not text", "name the mask's file")
     path = frame.where.parent / told
     plain = frame.where.parent / told.replace("\\", "/")
     return path if path.is_file() else plain

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
 
 from pipeline.capture.assembly.camera_source import from_colmap
@@ -23,6 +24,7 @@ from pipeline.capture.recognition.strangers import sort_out
 from pipeline.errors import UserError
 from pipeline.formats.colmap import find_model
 from pipeline.geometry.cameras import Camera
+from pipeline.geometry.worlds import ONE_WORLD, two_worlds
 
 
 def recognise(root: Path) -> bool:
@@ -60,12 +62,24 @@ def read(root: Path, config: CaptureConfig) -> Capture:
         masks.update({f"{name}_{view}": path for view, path in given.items()})
         warnings += [*here.warnings, *more, *missing]
         files += [*model, *(p for v in kept for p in v.paths), *given.values()]
+    _refuse_two_worlds(root, views, cameras)
     environments = find_environments(root)
     return Capture(
         root, "phygap_two_camera", "multiview", "polarisers", sorted_views(views), environments=environments, config=config,
         up=config.up or "y", cameras=cameras, masks=masks or None, files=(*files, *environments), warnings=tuple(warnings),
         polarisers=polariser_priors({v.camera for v in views}, config, root),
     )  # fmt: skip
+
+
+def _refuse_two_worlds(root: Path, views: list[ViewSource], cameras: dict[str, Camera]) -> None:
+    """Raise UserError where two folders' models have worlds of their own."""
+    by_folder: dict[str, dict[str, Camera]] = {}
+    for view in views:
+        by_folder.setdefault(view.camera, {})[view.view.removeprefix(f"{view.camera}_")] = cameras[view.view]
+    for first, second in combinations(sorted(by_folder), 2):
+        fault = two_worlds(by_folder[first], by_folder[second])
+        if fault:
+            raise UserError(root, f"the cameras of {first} and {second} {fault}", ONE_WORLD)
 
 
 LAYOUT = Layout("two_camera", "two folders, one per polariser, each with a COLMAP model and its images", recognise, read)

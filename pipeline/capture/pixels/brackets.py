@@ -42,7 +42,7 @@ def read_exposures(
             raise UserError(e.path, "its exposure is unknown", "name it _ev+1 or _exp0.01, or tell radiometry.exposure_s")
     times = [float(s) for s in told if s is not None]
     pixels, lost = merge_exposures([i.pixels for i in images], [i.saturated for i in images], times)
-    return LinearImage(pixels, first.names, lost, first.bits, first.orientation, None, first.encoding)
+    return LinearImage(pixels, first.names, lost, first.bits, first.orientation, None, first.encoding, first.frame)
 
 
 def merge_exposures(

@@ -40,7 +40,8 @@ def read_linear(
             reader.fill(start, stop, pixels[start:stop], saturated[start:stop])
     finally:
         reader.close()
-    linear = LinearImage(pixels, reader.names, saturated, reader.bits, reader.orientation, reader.exposure_s, reader.encoding)
+    facts = (reader.bits, reader.orientation, reader.exposure_s, reader.encoding, reader.frame)
+    linear = LinearImage(pixels, reader.names, saturated, *facts)
     return calibrated(linear, path, radiometry)
 
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pipeline.capture.config import RadiometryConfig
 from pipeline.capture.naming.files import FLOAT_SUFFIXES
 from pipeline.errors import UserError
+from pipeline.formats.exr_frame import exr_frame
 from pipeline.formats.exr_zip import open_zip_exr
 from pipeline.formats.image_parts import Page
 from pipeline.formats.images import _first_line, _open, srgb_decode
@@ -42,7 +43,8 @@ class LinearReader:
             self._image.close()
             self._image = _open(path, page, unassociated=True, plain=True)
         self.names = tuple(spec.channelnames)
-        self.size = (spec.width, spec.height)
+        self.frame = exr_frame(spec, path)
+        self.size = self.frame.size
         self.orientation = int(spec.get_int_attribute("Orientation", 1)) if path.suffix.lower() != ".hdr" else 1
         self.exposure_s = float(spec.get_float_attribute("ExposureTime", 0.0)) or None
         self.encoding = radiometry.encoding or ("srgb" if self.bits == 8 and not sensor_data else "linear")
@@ -88,6 +90,7 @@ class LinearReader:
         else:
             out[...] = band
         self._level(out, saturated)
+        self.frame.recoloured(out, self.names)
 
     def _level(self, out: NDArray[np.float32], saturated: NDArray[np.bool_]) -> None:
         apply_levels(out, saturated, self.names, self.bits, self.radiometry, self.encoding)
@@ -95,7 +98,19 @@ class LinearReader:
             out[...] = srgb_decode(out)
 
     def _rows(self, start: int, stop: int) -> NDArray[Any]:
-        width, height = self.size
+        """Rows of the picture: black where the file stores no pixel."""
+        if self.frame.size == self.frame.stored and self.frame.corner == (0, 0):
+            return self._stored_rows(start, stop)
+        rows, columns, down, across = self.frame.part(start, stop)
+        stored = self._stored_rows(rows.start, rows.stop) if rows.stop > rows.start else None
+        kinds = {"half": np.float16, "float": np.float32, "uint8": np.uint8, "uint16": np.uint16}
+        out = np.zeros((stop - start, self.size[0], len(self.names)), kinds[self._kind])
+        if stored is not None:
+            out[down, across] = stored[:, columns]
+        return out
+
+    def _stored_rows(self, start: int, stop: int) -> NDArray[Any]:
+        width, height = self.frame.stored
         if self._tiled:
             if self._whole is None:
                 self._whole = self._checked(self._image.read_image(self._kind)).reshape(height, width, -1)

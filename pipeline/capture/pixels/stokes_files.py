@@ -18,6 +18,7 @@ from pipeline.capture.pixels.stokes_frame import apply_stokes_config
 from pipeline.capture.radiometry.exposure import seconds_told
 from pipeline.capture.radiometry.of_file import factor_of
 from pipeline.errors import UserError
+from pipeline.formats.exr_frame import primaries_remark
 from pipeline.formats.images import STOKES
 
 GREY_STOKES = (("S0.Y", "S1.Y", "S2.Y"), ("S0", "S1", "S2"))
@@ -50,6 +51,7 @@ def stokes_exr_loader(path: Path, config: CaptureConfig, view_name: str | None =
         if config.radiometry.white_balance:
             stokes *= np.asarray(config.radiometry.white_balance, np.float32)
         view = finished(DecodedView(stokes=stokes, saturated=image.saturated, alpha=image.alpha), path)
+        view.faults |= primaries_remark(image.frame)
         if config.stokes == StokesConfig() and is_verbatim(view, image, path, STOKES, config):
             view.verbatim = path
         return view
@@ -64,6 +66,7 @@ def is_verbatim(view: DecodedView, image: LinearImage, path: Path, names: tuple[
     return (
         path.suffix.lower() == ".exr"
         and set(names) <= set(image.names)
+        and (image.frame is None or image.frame.is_plain)
         and radiometry == RadiometryConfig()
         and factor_of(config.radiometry, path) == 1
         and not view.faults
@@ -90,6 +93,8 @@ def finished(view: DecodedView, path: Path, image: LinearImage | None = None, wh
         assert pixels is not None
         view.saturated, faults = mended(pixels, view.saturated, path)
         view.faults |= faults
+    if image is not None:
+        view.faults |= primaries_remark(image.frame)
     if image is not None and image.orientation != 1:
         view.faults[f"EXIF rotation {image.orientation} is not applied: frames stay as the sensor saw them"] = 0
     if image is not None and image.bits == 8:

@@ -29,7 +29,7 @@ def refuse_idle_tables(capture: Capture) -> None:
     views = {v.view for v in capture.views}
     pair = [name for name in config.poses.scale_pair or () if name not in views]
     if pair:
-        raise UserError(config.path, f"poses.scale_pair: there is no view {some(pair)}", _nearest(pair[0], views))
+        raise UserError(config.path, f"poses.scale_pair: no view is called {some(map(repr, pair))}", _nearest(pair[0], views))
     if config.mosaic != MosaicConfig() and not _fact(capture, "polariser mosaic"):
         fault = f"[mosaic] is told, but the images were understood as {_kind(capture)}"
         raise UserError(config.path, fault, "give the sensor's single-channel files, or take the table out")

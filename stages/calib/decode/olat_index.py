@@ -13,8 +13,9 @@ from pipeline.capture import LightStage, LightStageCamera
 from pipeline.capture.naming.files import some
 from pipeline.engine.stage import StageRun
 from pipeline.errors import UserError
-from pipeline.formats.images import read_image, read_stored
-from pipeline.geometry.cameras import opengl_from_camera
+from pipeline.formats.exr_frame import primaries_remark
+from pipeline.formats.images import picture_frame, read_image, read_stored
+from pipeline.geometry.cameras import frame_of
 from pipeline.rig.frame_files import IN_DECODE
 from stages.calib.decode.linear_stage_frames import LinearFrames, radiometry_of, write_linear
 from stages.calib.decode.plateau import PlateauSearch
@@ -29,10 +30,13 @@ def index_light_stage(stage: StageRun) -> None:
     assert light_stage is not None
     radiometry = radiometry_of(stage, light_stage)
     frames = _looked_at(stage, light_stage) if radiometry is None else write_linear(stage, light_stage, radiometry)
+    for first in (camera.cross[0] for camera in light_stage.cameras.values()):
+        for fault in primaries_remark(picture_frame(first)) if first.suffix.lower() == ".exr" else ():
+            stage.warn(f"{first}: {fault}")
     tops, bad = frames.tops, frames.bad
     if bad:
-        first = sorted(bad)[0]
-        stage.warn(f"{first}: {sum(bad.values())} samples in {len(bad)} frames are not finite; the fit leaves them out")
+        worst = sorted(bad)[0]
+        stage.warn(f"{worst}: {sum(bad.values())} samples in {len(bad)} frames are not finite; the fit leaves them out")
     black = [p for p, top in tops.items() if not top > 0]
     if len(black) == len(tops):
         raise UserError(stage.capture.root, "every light-stage frame is black", "check the export")
@@ -108,11 +112,8 @@ def _table(light_stage: LightStage, root: Path, frames: LinearFrames) -> dict[st
             "full_light": [relative(p) for p in camera.full_light],
             "width": c.width,
             "height": c.height,
-            "camera": {
-                "fl_x": c.fx, "fl_y": c.fy, "cx": c.cx, "cy": c.cy, "w": c.width, "h": c.height,
-                "distortion": list(c.distortion), "transform_matrix": opengl_from_camera(c.world_to_camera).tolist(),
-            },
-        }  # fmt: skip
+            "camera": frame_of(c),
+        }
     return {
         "schema": 1,
         **({"frames_in": IN_DECODE} if frames.written else {}),

@@ -45,7 +45,7 @@ def run(stage: StageRun) -> None:
 
 STAGE = Stage(
     name="decode",
-    version=4,
+    version=5,
     parameters=DecodeParameters,
     needs=(),
     needed=needed,
