@@ -67,20 +67,23 @@ def write(path: Path, pixels: np.ndarray, names: str | None = None, **header: ob
     out.close()
 
 
-def write_parts(path: Path, parts: dict[str, tuple[np.ndarray, str]]) -> None:
-    """A file of several images: {title: (pixels, channel names)}."""
+def write_parts(path: Path, parts: dict[str, tuple[np.ndarray, str]], crop: tuple[slice, slice] | None = None) -> None:
+    """A file of several images: {title: (pixels, channel names)}; `crop`: rows and columns that an EXR stores of them."""
     path.parent.mkdir(parents=True, exist_ok=True)
     specs = []
     for title, (pixels, names) in parts.items():
-        spec = header_of(pixels)
+        spec = header_of(pixels[crop] if crop else pixels)
         spec.channelnames = tuple(names.split())
         spec.attribute("oiio:subimagename", title)
+        if crop:
+            spec.y, spec.x = crop[0].start, crop[1].start
+            spec.full_height, spec.full_width = pixels.shape[:2]
         specs.append(spec)
     out = oiio.ImageOutput.create(str(path))
     assert out.open(str(path), tuple(specs)) if path.suffix == ".exr" else out.open(str(path), specs[0]), out.geterror()
     for k, (pixels, _) in enumerate(parts.values()):
         assert not k or out.open(str(path), specs[k], "AppendSubimage"), out.geterror()
-        out.write_image(np.ascontiguousarray(pixels))
+        out.write_image(np.ascontiguousarray(pixels[crop] if crop else pixels))
     out.close()
 
 

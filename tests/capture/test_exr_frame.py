@@ -14,6 +14,7 @@ from pipeline.formats.exr_frame import REC709, to_rec709
 from pipeline.formats.exr_zip import open_zip_exr
 from pipeline.formats.images import STOKES, image_size, read_image
 from stages.olat.reading.frame_reader import is_half, read_rows
+from tests.capture.little_captures import ANGLES, SIDE, behind, stokes, write_parts
 
 SIZE = (40, 30)
 ACES = (0.7347, 0.2653, 0.0, 1.0, 0.0001, -0.077, 0.32168, 0.33767)
@@ -127,3 +128,22 @@ def test_stokes_vectors_are_converted_and_placed_as_colours_are(tmp_path):
     want = pixels.reshape(30, 40, 3, 3) @ to_rec709(ACES).T
     want[20:], want[:, :4] = 0, 0
     np.testing.assert_allclose(view.stokes, want, atol=1e-6)
+
+
+@pytest.mark.parametrize("parts", ["angles", "stokes", "layer"])
+def test_parts_and_layers_lie_in_their_display_window(tmp_path, parts):
+    kept = (slice(6, 40), slice(8, 44))
+    inside = np.zeros((SIDE, SIDE, 1, 1), bool)
+    inside[kept] = True
+    for i in range(2):
+        light = stokes(i)
+        if parts == "angles":
+            found = {str(a): (behind(light, a).astype(np.float16), "R G B") for a in ANGLES}
+        elif parts == "stokes":
+            found = {f"S{k}": (light[:, :, k].astype(np.float16), "R G B") for k in range(3)}
+        else:
+            names = " ".join(f"ViewLayer.S{k}.{c}" for k in range(3) for c in "RGB")
+            found = {"picture": (light.reshape(SIDE, SIDE, 9).astype(np.float16), names)}
+        write_parts(tmp_path / "images" / f"{i}.exr", found, kept)
+    for i, view in enumerate(open_capture(tmp_path).views):
+        np.testing.assert_allclose(view.read().stokes, np.where(inside, stokes(i), 0), atol=2e-3)

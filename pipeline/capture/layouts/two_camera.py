@@ -43,6 +43,7 @@ def read(root: Path, config: CaptureConfig) -> Capture:
     masks: dict[str, Path] = {}
     files: list[Path] = []
     warnings: list[str] = []
+    facts: list[str] = []
     for folder in camera_folders(root):
         images = image_folder(folder)
         paths = list_images(images) if images != folder else [p for p in list_images(folder) if "mask" not in p.parent.name]
@@ -52,7 +53,9 @@ def read(root: Path, config: CaptureConfig) -> Capture:
         if not paths:
             raise UserError(images, "the COLMAP folder holds no image", "put the images behind this polariser into images/")
         name = folder.name
-        here = discover(paths, images, config, lambda _, name=name: name, kind="colour")  # type: ignore[misc]
+        own = _of_folder(config, name)
+        here = discover(paths, images, own, lambda _, name=name: name, kind="colour")  # type: ignore[misc]
+        facts += [f"{name}: {fact}" for fact in here.facts]
         found, _, more, model = from_colmap(folder, here.views, images)
         kept = [v for v in here.views if v.view in found]
         given, missing = find_masks(folder, {v.view: v.paths[0] for v in kept}, images)
@@ -67,8 +70,15 @@ def read(root: Path, config: CaptureConfig) -> Capture:
     return Capture(
         root, "phygap_two_camera", "multiview", "polarisers", sorted_views(views), environments=environments, config=config,
         up=config.up or "y", cameras=cameras, masks=masks or None, files=(*files, *environments), warnings=tuple(warnings),
-        polarisers=polariser_priors({v.camera for v in views}, config, root),
+        polarisers=polariser_priors({v.camera for v in views}, config, root), facts=tuple(facts),
     )  # fmt: skip
+
+
+def _of_folder(config: CaptureConfig, name: str) -> CaptureConfig:
+    """The settings as one folder's files know them: exposures told of VIEWs, which begin with the folder's name here."""
+    told = config.radiometry.exposure_s
+    of_views = {key.removeprefix(f"{name}_"): seconds for key, seconds in told.items() if key.startswith(f"{name}_")}
+    return replace(config, radiometry=replace(config.radiometry, exposure_s={**told, **of_views}))
 
 
 def _refuse_two_worlds(root: Path, views: list[ViewSource], cameras: dict[str, Camera]) -> None:
