@@ -7,23 +7,21 @@ through untouched: the stage checks them against its own parameters.
 from __future__ import annotations
 
 import dataclasses
-import math
 import tomllib
-import types
-import typing
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from pipeline.errors import UserError
+from pipeline.formats.typed_values import filled
+from pipeline.geometry.world import UP_AXES
 
 MARKERS = (
     *(f"{n}X{n}_{count}" for n in (4, 5, 6, 7) for count in (50, 100, 250, 1000)),
     *("ARUCO_ORIGINAL", "ARUCO_MIP_36H12", "APRILTAG_16H5", "APRILTAG_25H9", "APRILTAG_36H10", "APRILTAG_36H11"),
 )
 """OpenCV's predefined marker dictionaries, upper case."""
-UP_AXES = ("y", "-y", "z", "-z", "x", "-x")
 
 
 @dataclass(frozen=True)
@@ -156,66 +154,9 @@ def load_config(root: Path) -> CaptureConfig:
         raise UserError(path, f"is not valid TOML: {error}", "correct it; docs/captures.md has an example") from None
     except RecursionError:
         raise UserError(path, "is not valid TOML: nested too deeply", "correct it; docs/captures.md has an example") from None
-    config = _fill(CaptureConfig, table, path, "", hidden=("path",))
+    config = filled(CaptureConfig, table, "", str(path), hidden=("path",))
     _check(config, path)
     return dataclasses.replace(config, path=path)
-
-
-def _fill(cls: Any, table: dict[str, Any], path: Path, prefix: str, hidden: tuple[str, ...] = ()) -> Any:
-    hints = typing.get_type_hints(cls)
-    known = [f.name for f in dataclasses.fields(cls) if f.name not in hidden]
-    values = {}
-    for key, value in table.items():
-        if key not in known:
-            raise UserError(path, f"unknown key {prefix}{key}", f"known here: {', '.join(known)}")
-        values[key] = _convert(hints[key], value, path, f"{prefix}{key}")
-    return cls(**values)
-
-
-def _convert(hint: Any, value: Any, path: Path, key: str) -> Any:
-    """`value` as the type `hint`; only the few kinds of type that the tables above use."""
-    if isinstance(hint, types.UnionType):
-        hint = next(a for a in typing.get_args(hint) if a is not type(None))
-    origin, arguments = typing.get_origin(hint), typing.get_args(hint)
-    wrong = UserError(path, f"{key} = {value!r} is not {_spoken(hint)}", "correct the value")
-    if dataclasses.is_dataclass(hint):
-        if not isinstance(value, dict):
-            raise wrong
-        return _fill(hint, value, path, f"{key}.")
-    if origin is dict:
-        if not isinstance(value, dict):
-            raise wrong
-        return {str(k): _convert(arguments[1], v, path, f"{key}.{k}") for k, v in value.items()}
-    if origin is tuple:
-        if not isinstance(value, list):
-            raise wrong
-        return tuple(_convert(arguments[0], v, path, f"{key}[{i}]") for i, v in enumerate(value))
-    if hint is Any:
-        return value
-    if hint is float:
-        return _number(value, wrong, infinite=key.endswith(".extinction"))
-    if not isinstance(value, hint) or (hint is int and isinstance(value, bool)):
-        raise wrong
-    return value
-
-
-def _number(value: Any, wrong: UserError, infinite: bool) -> float:
-    """A finite float; an ideal polariser's extinction may be infinite. Raises `wrong`."""
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise wrong
-    try:
-        number = float(value)
-    except OverflowError:  # an integer beyond any float
-        raise wrong from None
-    if math.isnan(number) or (math.isinf(number) and not infinite):
-        raise wrong
-    return number
-
-
-def _spoken(hint: Any) -> str:
-    names = {float: "a number (finite)", int: "a whole number", bool: "true or false", str: "text"}
-    origin = typing.get_origin(hint)
-    return names.get(hint) or {dict: "a table", tuple: "a list"}.get(origin) or "a table"
 
 
 def _check(config: CaptureConfig, path: Path) -> None:
@@ -263,8 +204,8 @@ def _check(config: CaptureConfig, path: Path) -> None:
         number = getattr(config.raw, side)
         refuse(number is not None and number <= 0, f"raw.{side}", number, "a number of pixels")
     refuse(config.raw.offset < 0, "raw.offset", config.raw.offset, "a number of bytes")
-    refuse(config.olat.specular_factor <= 0, "olat.specular_factor", config.olat.specular_factor, "above 0")
     refuse(config.olat.irradiance <= 0, "olat.irradiance", config.olat.irradiance, "above 0")
+    refuse(config.olat.specular_factor <= 0, "olat.specular_factor", config.olat.specular_factor, "above 0")
     for name, polariser in config.polarisers.items():
         extinction = polariser.extinction
         refuse(extinction is not None and extinction <= 1, f"polarisers.{name}.extinction", extinction, "above 1")

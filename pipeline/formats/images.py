@@ -17,7 +17,9 @@ from pipeline.formats.truncation import refuse_truncated
 if TYPE_CHECKING:
     from pipeline.formats.image_parts import Page
 
-STOKES = tuple(f"S{k}.{c}" for k in range(3) for c in "RGB")
+RGB, XYZ = ("R", "G", "B"), ("X", "Y", "Z")
+STOKES = tuple(f"S{k}.{c}" for k in range(3) for c in RGB)
+S0 = STOKES[:3]
 EXR_COMPRESSION = "zip:2"
 """Measured on 12 Mpx of noisy Stokes halves against zip's usual level 4: 12 % less time, 0.7 % more bytes (renders:
 the same bytes). Level 1 saves 26 % of the time and costs 1 to 4 % more; PIZ is 45 % faster on noise, 30 % larger on renders."""
@@ -31,7 +33,7 @@ def _oiio():
     return oiio
 
 
-def _open(path: Path, page: Page | None = None, unassociated: bool = False, plain: bool = False) -> Any:
+def open_image(path: Path, page: Page | None = None, unassociated: bool = False, plain: bool = False) -> Any:
     """An open image: one `page` of a file of several, or what they mean together (`pipeline.formats.image_parts`).
 
     `unassociated`: alpha not multiplied into colour, as PNG stores it; `plain`: the layer that is the picture goes by R, G, B.
@@ -53,7 +55,7 @@ def _open(path: Path, page: Page | None = None, unassociated: bool = False, plai
         how.attribute("oiio:UnassociatedAlpha", 1)
     image = _oiio().ImageInput.open(str(path), how)
     if image is None:
-        raise UserError(path, f"cannot be read as an image ({_first_line(_oiio().geterror())})", "copy it again or remove it")
+        raise UserError(path, f"cannot be read as an image ({first_line(_oiio().geterror())})", "copy it again or remove it")
     try:
         return chosen(image, path, page, plain)
     except UserError:
@@ -61,7 +63,8 @@ def _open(path: Path, page: Page | None = None, unassociated: bool = False, plai
         raise
 
 
-def _first_line(text: str) -> str:
+def first_line(text: str) -> str:
+    """The first line of what OpenImageIO says."""
     return (text.strip().splitlines() or ["no reason given"])[0]
 
 
@@ -72,15 +75,16 @@ def image_size(path: str | Path, page: Page | None = None) -> tuple[int, int]:
 
 def picture_frame(path: str | Path, page: Page | None = None) -> ExrFrame:
     """Where a file's stored pixels lie in its picture and what becomes of their colours. Raises UserError."""
-    image = _open(Path(path), page)
+    image = open_image(Path(path), page)
     spec = image.spec()
     image.close()
     return exr_frame(spec, Path(path))
 
 
-def channel_names(path: str | Path) -> list[str]:
-    """Channel names in file order, from the header alone, R, G, B for the layer that is the picture. Raises UserError."""
-    image = _open(Path(path), plain=True)
+def channel_names(path: str | Path, plain: bool = False) -> list[str]:
+    """Channel names in file order, from the header alone; `plain`: R, G, B for the layer that is the picture. Raises
+    UserError."""
+    image = open_image(Path(path), plain=plain)
     names = list(image.spec().channelnames)
     image.close()
     return names
@@ -92,11 +96,11 @@ def read_stored(path: Path, plain: bool = False) -> tuple[np.ndarray, list[str],
 
     Of an EXR: its display window, in Rec. 709 (`exr_frame`).
     """
-    image = _open(path, plain=plain)
+    image = open_image(path, plain=plain)
     spec = image.spec()
     frame = exr_frame(spec, path)
     pixels = image.read_image("float")
-    error = _first_line(image.geterror()) if pixels is None else ""
+    error = first_line(image.geterror()) if pixels is None else ""
     image.close()
     if pixels is None:
         raise UserError(path, f"the image is truncated or corrupt ({error})", "copy it again from its source")
@@ -164,7 +168,7 @@ def _fits_half(pixels: np.ndarray) -> bool:
 
 def write_rgb(path: str | Path, rgb: np.ndarray) -> None:
     """Write linear [H, W, 3] float pixels to .exr or .hdr by suffix."""
-    _write(Path(path), np.ascontiguousarray(rgb, np.float32), "float", ["R", "G", "B"], {"compression": EXR_COMPRESSION})
+    _write(Path(path), np.ascontiguousarray(rgb, np.float32), "float", list(RGB), {"compression": EXR_COMPRESSION})
 
 
 def write_png(path: str | Path, pixels: np.ndarray) -> None:
@@ -190,7 +194,7 @@ def _write(path: Path, pixels: np.ndarray, kind: str, names: list[str], attribut
     done = out is not None and out.open(str(path), spec) and _put(out, pixels, kind)
     done = bool(out is not None and out.close() and done)
     if not done:
-        reason = _first_line(out.geterror() if out is not None else oiio.geterror())
+        reason = first_line(out.geterror() if out is not None else oiio.geterror())
         raise write_fault(path, reason)
 
 

@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.formats.dataset_files import CAMERAS
 from pipeline.formats.images import STOKES
 from pipeline.geometry.cameras import Camera, load_cameras
 from pipeline.geometry.lens_inverse import inside_fold
 
 FRAMES = "frames.json"
-CAMERAS = "cameras.json"
 LENSES = "lenses.json"
 NOTICEABLE_PX = 0.05
 """A distortion that moves no pixel by more than this is none: pixels are sampled to about this anyway."""

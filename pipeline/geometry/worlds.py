@@ -7,8 +7,9 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.geometry.axes import MOST_PARALLEL
 from pipeline.geometry.cameras import Camera
-from pipeline.geometry.viewing_axes import PARALLEL, looked_at
+from pipeline.geometry.viewing_axes import looked_at
 
 ONE_WORLD = "were their cameras found apart? find them together (one COLMAP model of both folders), or give one model for both"
 FEWEST = 4
@@ -78,7 +79,7 @@ def _meet(views: Mapping[str, Camera]) -> NDArray[np.float64] | None:
     """Where a camera's axes meet; None where they hardly do."""
     axes = np.stack([c.world_to_camera[2, :3] for c in views.values()])
     total = (np.eye(3) - axes[:, :, None] * axes[:, None, :]).sum(0)
-    if len(views) < FEWEST or not np.linalg.cond(total) <= PARALLEL:
+    if len(views) < FEWEST or not np.linalg.cond(total) <= MOST_PARALLEL:
         return None
     seen = looked_at(views.values())
     return seen if _unseen(views, seen) < UNSEEN else None

@@ -15,12 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.formats.images import read_image
+from pipeline.formats.images import RGB, XYZ, read_image
 from pipeline.geometry.cameras import Camera
 from pipeline.rig.frame_files import frames_root
 from pipeline.rig.latlong_lights import as_lights, irradiance_per_light
 
-RGB = ("R", "G", "B")
 READERS = 2
 MAP_LIGHTS = 2000  # cells of 4.5 degrees; a lobe narrower than its cell is widened by it
 
@@ -114,8 +113,7 @@ def render_maps(
     def load(name: str, channels: tuple[str, ...]) -> NDArray[np.float32]:
         return read_image(folder / f"{name}.exr", channels)
 
-    xyz = ("X", "Y", "Z")
-    normal_d, normal_s, tangent = (load(name, xyz) for name in ("diffuse_normal", "specular_normal", "tangent"))
+    normal_d, normal_s, tangent = (load(name, XYZ) for name in ("diffuse_normal", "specular_normal", "tangent"))
     albedo_d, albedo_s = load("diffuse_albedo", RGB), load("specular_albedo", ("Y",))[..., 0]
     sigma = load("sigma", ("X", "Y"))
     inside = np.linalg.norm(normal_d, axis=-1) > 0.5

@@ -7,12 +7,13 @@ from typing import Any
 import torch
 
 from pipeline.optics import fresnel as optics
+from pipeline.optics.model_names import FRESNELS, MIRRORS
 from pipeline.optics.stokes import surface_pattern
 
 from . import limits, splitsum
 from . import prefilter_kernels as kernels
 from .prefilter import LightField
-from .types import FRESNELS, MIRRORS, Occlusion, Shaded, clamp_keeping_gradient
+from .types import Occlusion, Shaded, clamp_keeping_gradient
 
 
 def shade(

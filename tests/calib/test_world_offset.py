@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from pipeline.formats.images import write_stokes
+from pipeline.formats.ply import Ply, write_ply
 from pipeline.geometry.cameras import Camera, frame_of, load_cameras, world_offset
-from pipeline.geometry.world import less, offset_of, offset_told
+from pipeline.geometry.world_offset import less, offset_of, offset_told, ply_comment
 from stages.calib.poses.write import write_sparse
-from stages.mesh.ply import write_ply
 
 UTM = np.array([450_000.25, 5_200_000.5, 120.0])
 
@@ -92,10 +92,10 @@ def test_points_of_a_given_model_are_brought_near(run_stages, tmp_path):
 
 
 def test_a_mesh_tells_its_offset_only_where_it_has_one(tmp_path):
-    rows = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0.0]])
-    colour, faces = np.zeros((3, 3), np.uint8), np.array([[0, 1, 2]])
-    write_ply(tmp_path / "a.ply", list("xyz"), rows, colour, faces, UTM)
-    write_ply(tmp_path / "b.ply", list("xyz"), rows, colour, faces, np.zeros(3))
+    columns, faces = dict(zip("xyz", np.array([[0, 1, 0], [0, 0, 1], [0, 0, 0.0]]))), np.array([[0, 1, 2]])
+    write_ply(tmp_path / "a.ply", columns, faces, comments=ply_comment(UTM))
+    write_ply(tmp_path / "b.ply", columns, faces, comments=ply_comment(np.zeros(3)))
+    assert Ply(tmp_path / "a.ply").triangles().tolist() == [[0, 1, 2]]
     assert offset_told(tmp_path / "a.ply").tolist() == UTM.tolist() and not offset_told(tmp_path / "b.ply").any()
     assert b"comment" not in (tmp_path / "b.ply").read_bytes()
 

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 from pipeline.capture.assembly.camera_source import camera_table
 from pipeline.capture.camera_files.table import CameraTable, cameras_of_views
 from pipeline.capture.config import CaptureConfig
-from pipeline.capture.model import Capture, ViewSource
+from pipeline.capture.model import Capture, Polarisation, ViewSource
 from pipeline.capture.naming.files import (
     IMAGE_FOLDERS,
     PHOTO_SUFFIXES,
@@ -43,7 +42,7 @@ def assemble(
     config: CaptureConfig,
     folder: Path,
     views: tuple[ViewSource, ...],
-    polarisation: Literal["stokes", "polarisers", "none"],
+    polarisation: Polarisation,
     cameras: Mapping[str, Camera] | None = None,
     camera_files: tuple[Path, ...] = (),
     facts: tuple[str, ...] = (),
@@ -85,7 +84,8 @@ def assemble(
 
 def _has_alpha(view: ViewSource) -> bool:
     path = view.paths[0]
-    return not view.paged and path.suffix.lower() in (".png", ".tif", ".tiff", ".exr") and "A" in channel_names(path)
+    holds_one = not view.paged and path.suffix.lower() in (".png", ".tif", ".tiff", ".exr")
+    return holds_one and "A" in channel_names(path, plain=True)
 
 
 def find_plates(root: Path, config: CaptureConfig, views: tuple[ViewSource, ...]) -> tuple[dict[str, Path], tuple[Path, ...]]:

@@ -89,7 +89,7 @@ def _paged_groups(
 
 
 def _any_stokes(paths: list[Path]) -> bool:
-    return any(p.suffix.lower() == ".exr" and holds_stokes(channel_names(p)) for p in paths)
+    return any(p.suffix.lower() == ".exr" and holds_stokes(channel_names(p, plain=True)) for p in paths)
 
 
 def _understood(groups: list[Group], folder: Path, config: CaptureConfig, camera_of: Camera_of, kind: str | None) -> Sources:
@@ -97,7 +97,7 @@ def _understood(groups: list[Group], folder: Path, config: CaptureConfig, camera
         _refuse_clashes(groups, folder)
         return _stacks(groups, config, camera_of)
     paths = [p for g in groups for p in g.paths]
-    stokes = [p for p in paths if p.suffix.lower() == ".exr" and holds_stokes(channel_names(p))]
+    stokes = [p for p in paths if p.suffix.lower() == ".exr" and holds_stokes(channel_names(p, plain=True))]
     if stokes:
         odd = sorted(set(paths) - set(stokes))
         if odd:

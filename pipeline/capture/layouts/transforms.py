@@ -5,14 +5,14 @@ from __future__ import annotations
 import json
 import os
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from pipeline.capture.assembly.assemble import find_plates
 from pipeline.capture.assembly.sources import discover
 from pipeline.capture.camera_files.nerf_tables import FILE, NerfFrame, captures_below, held_out, load_frames, table_files
 from pipeline.capture.config import CaptureConfig
 from pipeline.capture.layouts import Layout
-from pipeline.capture.model import Capture, ViewSource
+from pipeline.capture.model import Capture, Polarisation, ViewSource
 from pipeline.capture.naming.files import (
     IMAGE_SUFFIXES,
     UNREADABLE,
@@ -95,7 +95,7 @@ def read(root: Path, config: CaptureConfig) -> Capture:
             raise UserError(mask, f"named in {where.name} but not there", "add it or remove its mask_path")
     check_masks(masks, lambda view: (cameras[view].width, cameras[view].height))
     told = bool(config.polarisers) or any("camera" in frame.told for frame in frames)
-    kind: Literal["stokes", "polarisers", "none"] = "stokes" if sources.holds_stokes else "polarisers" if told else "none"
+    kind: Polarisation = "stokes" if sources.holds_stokes else "polarisers" if told else "none"
     plates, plate_files = find_plates(root, config, tuple(views))
     environments = find_environments(root)
     alpha = not masks and all_have_alpha(views)
@@ -201,7 +201,7 @@ def all_have_alpha(views: list[ViewSource]) -> bool:
     """Whether every view's image carries an alpha channel (headers only)."""
     files = [v.paths[0] for v in views if not v.paged]
     return len(files) == len(views) and all(
-        p.suffix.lower() in (".png", ".tif", ".tiff", ".exr") and "A" in channel_names(p) for p in files
+        p.suffix.lower() in (".png", ".tif", ".tiff", ".exr") and "A" in channel_names(p, plain=True) for p in files
     )
 
 

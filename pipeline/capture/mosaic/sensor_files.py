@@ -15,7 +15,7 @@ from pipeline.capture.pixels.brackets import read_exposures
 from pipeline.capture.pixels.linear_image import LinearImage
 from pipeline.capture.radiometry.of_file import factor_of
 from pipeline.errors import UserError
-from pipeline.formats.images import _open, channel_names
+from pipeline.formats.images import channel_names, open_image
 
 
 def read_mosaic(group: Group, config: CaptureConfig) -> LinearImage:
@@ -44,7 +44,7 @@ def refuse_colour(paths: Sequence[Path], config: CaptureConfig) -> None:
     for path in paths:
         if path.suffix.lower() in RAW_SUFFIXES or single_plane(path):
             continue
-        differ = f"has channels {', '.join(channel_names(path))} that differ, but"
+        differ = f"has channels {', '.join(channel_names(path, plain=True))} that differ, but"
         remedy = "save the sensor's bare samples as one channel"
         if config.mosaic == MosaicConfig() and config.layout != "mosaic":
             raise UserError(path, f"{differ} the other images are polariser mosaics", f"{remedy}, or move it away")
@@ -54,10 +54,10 @@ def refuse_colour(paths: Sequence[Path], config: CaptureConfig) -> None:
 
 def single_plane(path: Path) -> bool:
     """Whether an image file holds one plane: a single channel (beside alpha), or colours that are equal everywhere."""
-    names = [name for name in channel_names(path) if name.lower() != "a"]
+    names = [name for name in channel_names(path, plain=True) if name.lower() != "a"]
     if len(names) != 3:
         return len(names) == 1
-    image = _open(path, unassociated=True)
+    image = open_image(path, unassociated=True)
     spec = image.spec()
     try:
         for rows in (min(SKIMMED, spec.height), spec.height):  # a colour picture's first rows tell already

@@ -13,7 +13,7 @@ from pipeline.capture.naming.grouping import ANGLE_ALONE, turned
 from pipeline.errors import UserError
 from pipeline.formats.bare_arrays import ARRAY_SUFFIXES, open_array
 from pipeline.formats.image_parts import MAY_HOLD_SEVERAL, SPLIT, Page, layers, pages_of
-from pipeline.formats.images import _oiio, _open, srgb_decode
+from pipeline.formats.images import _oiio, open_image, srgb_decode
 
 USUAL = (0.0, 45.0, 90.0, 135.0)
 """Degrees of four pages in their order, as polarisation cameras' viewers save them."""
@@ -65,7 +65,7 @@ def _pages(path: Path) -> list[Page]:
         image = _oiio().ImageInput.open(str(path))
         if image is None:
             _oiio().geterror()  # or the library prints it at exit
-            _open(path).close()  # says why
+            open_image(path).close()  # says why
             return [Page(0, (), ())]
     pages = pages_of(image, path)
     grey = path.suffix.lower() in (".tif", ".tiff") and image.spec().get_int_attribute("tiff:PhotometricInterpretation", 2) < 2
@@ -125,7 +125,7 @@ def _by_channel(page: Page, config: CaptureConfig) -> dict[float, Page] | None:
 
 def _four_in_colour(path: Path, page: Page) -> dict[float, Page] | None:
     """Whether the channels R G B A hold light behind 0, 45, 90 and 135 degrees: only then does R + B equal G + A."""
-    image = _open(path, unassociated=True)
+    image = open_image(path, unassociated=True)
     pixels = image.read_image("float")
     spec = image.spec()
     image.close()

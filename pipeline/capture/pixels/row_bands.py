@@ -14,7 +14,7 @@ from pipeline.errors import UserError
 from pipeline.formats.exr_frame import exr_frame
 from pipeline.formats.exr_zip import open_zip_exr
 from pipeline.formats.image_parts import Page
-from pipeline.formats.images import _first_line, _open, srgb_decode
+from pipeline.formats.images import first_line, open_image, srgb_decode
 
 ROWS = 32
 """Two of EXR's zip blocks: a band of nine half floats 4000 pixels wide is 2.3 MB."""
@@ -36,12 +36,12 @@ class LinearReader:
 
         radiometry = for_file(radiometry, path)
         self.path, self.radiometry = path, radiometry
-        self._image = _open(path, page, unassociated=page is not None, plain=True)
+        self._image = open_image(path, page, unassociated=page is not None, plain=True)
         spec = self._image.spec()
         self.bits = {"uint8": 8, "uint16": 16, "uint32": 32}.get(str(spec.format), 0)
         if self.bits and "A" in spec.channelnames:
             self._image.close()
-            self._image = _open(path, page, unassociated=True, plain=True)
+            self._image = open_image(path, page, unassociated=True, plain=True)
         self.names = tuple(spec.channelnames)
         self.frame = exr_frame(spec, path)
         self.size = self.frame.size
@@ -53,7 +53,7 @@ class LinearReader:
         half = str(spec.format) == "half" and all(str(f) == "half" for f in spec.channelformats)
         self._kind = f"uint{self.bits}" if self.bits in (8, 16) else "half" if half else "float"
         self._zip = open_zip_exr(path) if path.suffix.lower() == ".exr" else None
-        if self._zip is not None and (set(self._zip.names), self._zip.size) != (set(self.names), self.size):
+        if self._zip is not None and (set(self._zip.layout.names), self._zip.layout.size) != (set(self.names), self.size):
             self._zip.file.close()  # names that OpenImageIO had to change, as one that stands twice
             self._zip = None
         self._alpha = next((i for i, name in enumerate(self.names) if name == "A"), -1)
@@ -72,7 +72,7 @@ class LinearReader:
         from pipeline.formats.sample_kernels import look_up, mark_at_least, widen_halves
 
         if self._zip is not None:
-            place = np.array([self.names.index(name) for name in self._zip.names])
+            place = np.array([self.names.index(name) for name in self._zip.layout.names])
             if not self._zip.read(start, stop, place, out):
                 raise self._damage("a chunk cannot be inflated")
             self._level(out, saturated)
@@ -120,7 +120,7 @@ class LinearReader:
 
     def _checked(self, samples: Any) -> NDArray[Any]:
         if samples is None:
-            raise self._damage(_first_line(self._image.geterror()))
+            raise self._damage(first_line(self._image.geterror()))
         return np.asarray(samples)
 
     def _damage(self, reason: str) -> UserError:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from pipeline.capture.config import RadiometryConfig
 from pipeline.capture.naming.files import RAW_SUFFIXES, count, some
 from pipeline.errors import UserError
-from pipeline.formats.images import _open
+from pipeline.formats.images import open_image
 
 Levels = NDArray[np.float64]
 
@@ -80,7 +80,7 @@ def read_exposure(path: Path) -> HeaderExposure:
             from pipeline.capture.pixels.raw import raw_exposure
 
             return HeaderExposure(*raw_exposure(path))
-        image = _open(path)
+        image = open_image(path)
     except UserError:
         return HeaderExposure()
     found = exposure_of(image.spec())

@@ -19,7 +19,7 @@ from pipeline.capture.radiometry.encoding import find_encoding, impossible_share
 from pipeline.capture.radiometry.exposure import HeaderExposure, even_out, exposure_of, read_exposure
 from pipeline.capture.radiometry.of_file import FoundRadiometry, factor_of
 from pipeline.errors import UserError
-from pipeline.formats.images import _open, srgb_decode
+from pipeline.formats.images import open_image, srgb_decode
 
 if TYPE_CHECKING:
     from pipeline.capture.pixels.linear_image import LinearImage
@@ -68,7 +68,7 @@ def _header(exposure: Exposure) -> _Header:
     path = exposure.path
     if path.suffix.lower() in RAW_SUFFIXES:
         return _Header(0, read_exposure(path))
-    image = _open(path, exposure.page)
+    image = open_image(path, exposure.page)
     spec = image.spec()
     image.close()
     return _Header({"uint8": 8, "uint16": 16}.get(str(spec.format), 0), exposure_of(spec))
@@ -92,7 +92,7 @@ def _white_level(files: Sequence[Exposure]) -> tuple[float | None, list[str]]:
     """The code that full samples have in 16-bit files, where fewer bits are in use, with the word for it."""
 
     def codes(e: Exposure) -> NDArray[np.uint16]:
-        image = _open(e.path, e.page, unassociated=True)
+        image = open_image(e.path, e.page, unassociated=True)
         spec = image.spec()
         pixels = image.read_image("uint16")
         image.close()
@@ -102,7 +102,7 @@ def _white_level(files: Sequence[Exposure]) -> tuple[float | None, list[str]]:
         return np.asarray(pixels).reshape(-1, spec.nchannels)[:, colour].astype(np.uint16, copy=False)
 
     by_path = {(e.path, e.page): e for e in files}
-    first = _open(files[0].path, files[0].page)
+    first = open_image(files[0].path, files[0].page)
     own = getattr(first, "white_level", None)
     size = first.spec().width * first.spec().height * first.spec().nchannels
     first.close()
@@ -144,7 +144,7 @@ def _encodings(
     if not usable:
         return {}, []
     usual = "srgb" if eight and kind == "stack" else "linear"
-    size = _open(usable[0].paths[0], next(iter(usable[0].angles.values()))[0].page)
+    size = open_image(usable[0].paths[0], next(iter(usable[0].angles.values()))[0].page)
     each = size.spec().width * size.spec().height * size.spec().nchannels * len(usable[0].angles)
     size.close()
     some_groups = _spread(usable, each)

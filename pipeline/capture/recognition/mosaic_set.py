@@ -62,7 +62,8 @@ def _kind(path: Path) -> tuple[str, int]:
     suffix = path.suffix.lower()
     if suffix in RAW_SUFFIXES:
         return "raw", 1
-    return "float" if suffix in FLOAT_SUFFIXES else "codes", len([n for n in channel_names(path) if n.lower() != "a"])
+    colours = [name for name in channel_names(path, plain=True) if name.lower() != "a"]
+    return "float" if suffix in FLOAT_SUFFIXES else "codes", len(colours)
 
 
 def _may_hold(kind: tuple[str, int], files: list[Path], told: bool) -> bool:

@@ -14,8 +14,12 @@ from typing import Any
 
 from pipeline.engine.dataset.digests import DigestCache
 from pipeline.errors import UserError
+from pipeline.formats.dataset_files import MANIFEST
 
 SCHEMA = 1
+
+
+DESCRIPTION = "dataset.json"
 
 
 @dataclass(frozen=True)
@@ -29,7 +33,7 @@ class Version:
     @property
     def manifest(self) -> dict[str, Any]:
         """The manifest that was published with it."""
-        return json.loads((self.folder / "manifest.json").read_text())
+        return json.loads((self.folder / MANIFEST).read_text())
 
 
 class Dataset:
@@ -43,13 +47,18 @@ class Dataset:
         self.root = root
         self.digests = DigestCache(root / ".work" / "digests.json")
 
+    @classmethod
+    def holding(cls, version: Path) -> Dataset:
+        """The dataset that a version's folder (or a stage's `current`) lies in."""
+        return cls(Path(os.path.abspath(version)).parents[1])
+
     # -- finding ---------------------------------------------------------------------------------------------------
 
     def find(self, stage: str, key: str) -> Version | None:
         """The published version of that key, or None; a version with a missing or short file counts as none."""
         folder = self.root / stage / key
         try:
-            manifest = json.loads((folder / "manifest.json").read_text())
+            manifest = json.loads((folder / MANIFEST).read_text())
             whole = all((folder / o["path"]).stat().st_size == o["bytes"] for o in manifest["outputs"])
         except (OSError, ValueError, KeyError):
             return None
@@ -73,12 +82,12 @@ class Dataset:
     @property
     def exists(self) -> bool:
         """Whether the folder is a dataset: it has a description, or work was begun in it."""
-        return (self.root / "dataset.json").is_file() or (self.root / ".work").is_dir()
+        return (self.root / DESCRIPTION).is_file() or (self.root / ".work").is_dir()
 
     def read_description(self) -> dict[str, Any]:
         """`dataset.json`, or an empty dict where there is none."""
         try:
-            return json.loads((self.root / "dataset.json").read_text())
+            return json.loads((self.root / DESCRIPTION).read_text())
         except (OSError, ValueError):
             return {}
 
@@ -111,7 +120,7 @@ class Dataset:
 
     def describe(self, description: Mapping[str, Any]) -> None:
         """Write `dataset.json`."""
-        self.write_text(self.root / "dataset.json", json.dumps({"schema": SCHEMA, **description}, indent=1) + "\n")
+        self.write_text(self.root / DESCRIPTION, json.dumps({"schema": SCHEMA, **description}, indent=1) + "\n")
 
     def use(self, version: Version) -> None:
         """Point `STAGE/current` at a version, atomically."""
@@ -158,7 +167,7 @@ class Dataset:
 
     def publish(self, stage: str, key: str, output: Path, manifest: Mapping[str, Any]) -> Version:
         """Make `output` the version `stage/key`: manifest added, everything synced, one rename."""
-        (output / "manifest.json").write_text(json.dumps(manifest, indent=1) + "\n")
+        (output / MANIFEST).write_text(json.dumps(manifest, indent=1) + "\n")
         for folder, _, names in os.walk(output):
             for name in names:
                 _sync(Path(folder) / name)

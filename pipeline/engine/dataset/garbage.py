@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pipeline.engine.dataset.directory import Dataset
+from pipeline.formats.dataset_files import MANIFEST
 
 KEY = re.compile(r"[0-9a-f]{16}")
 
@@ -72,7 +73,7 @@ def _in_use_and_upstream(dataset: Dataset, stages: Iterable[str]) -> set[tuple[s
 
 def _made_from(folder: Path) -> list[tuple[str, str]]:
     try:
-        manifest = json.loads((folder / "manifest.json").read_text())
+        manifest = json.loads((folder / MANIFEST).read_text())
     except (OSError, ValueError):
         return []
     return list(manifest.get("inputs", {}).get("stages", {}).items())

@@ -22,7 +22,7 @@ from pipeline.capture.radiometry.found import understand
 from pipeline.capture.radiometry.of_file import FoundRadiometry, factor_of
 from pipeline.engine.stage import StageRun
 from pipeline.errors import UserError
-from pipeline.formats.images import _open, write_exr
+from pipeline.formats.images import open_image, write_exr
 from stages.calib.decode.plateau import PlateauSearch
 
 BATCH = 8
@@ -114,7 +114,7 @@ def _kinds(names: Iterable[Path]) -> dict[tuple[Path, str], str]:
         if path.suffix.lower() in RAW_SUFFIXES:
             kinds[key] = "raw"
             continue
-        image = _open(path)
+        image = open_image(path)
         kinds[key] = str(image.spec().format)
         image.close()
     return kinds

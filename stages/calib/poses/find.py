@@ -17,7 +17,9 @@ from pipeline.capture.naming.files import count, some
 from pipeline.engine.stage import StageRun
 from pipeline.errors import UserError
 from pipeline.formats.colmap import parameters_of, read_model
+from pipeline.formats.dataset_files import POINTS
 from pipeline.geometry.cameras import Camera
+from pipeline.geometry.lens import FRAMES
 from stages.calib.poses.proxies import Proxy, write_masks, write_proxies
 from stages.calib.poses.scale import world_scale
 from stages.calib.poses.straighten import write_cameras
@@ -82,7 +84,7 @@ def triangulate(stage: StageRun, cameras: Mapping[str, Camera], offset: NDArray[
     stage.note("points", len(points))
     if len(points):
         write_sparse(stage.output / "sparse", cameras, points, colours, FRAME_SUFFIX, offset)
-        write_points(stage.output / "points.ply", points, colours, offset)
+        write_points(stage.output / POINTS, points, colours, offset)
 
 
 class Session:
@@ -283,7 +285,7 @@ def _finish(stage: StageRun, model: Any, proxies: list[Proxy]) -> None:
         stage.note("scale", scale)
     write_cameras(stage, {v: replace(c, name=camera_of[v]) for v, c in cameras.items()})
     points, colours = _points(model)
-    write_points(stage.output / "points.ply", points, colours)
+    write_points(stage.output / POINTS, points, colours)
     focal = {camera_of[v]: c.fx for v, c in cameras.items()}
     summary = {"registered": len(registered), "views": len(camera_of), "mean_reprojection_error_px": error,
                "points": len(points), "focal_px": focal, "left_out": lost}  # fmt: skip
@@ -300,4 +302,4 @@ def stage_similarity(scale: float) -> Any:
 
 
 def _frames(stage: StageRun) -> dict[str, dict]:
-    return json.loads((stage.inputs["decode"] / "frames.json").read_text(encoding="utf-8"))["views"]
+    return json.loads((stage.inputs["decode"] / FRAMES).read_text(encoding="utf-8"))["views"]

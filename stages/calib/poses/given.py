@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from pipeline.engine.stage import StageRun
 from pipeline.formats.colmap import ColmapModel, read_model
-from pipeline.geometry.world import less
+from pipeline.formats.dataset_files import POINTS
+from pipeline.geometry.world_offset import less
 from stages.calib.poses.straighten import write_cameras
 from stages.calib.poses.write import FRAME_SUFFIX, write_points, write_sparse
 
@@ -29,4 +30,4 @@ def write_given(stage: StageRun) -> None:
 
         triangulate(stage, cameras, offset)
     elif model is not None and len(model.points):
-        write_points(stage.output / "points.ply", model.points - offset, model.colours, offset)
+        write_points(stage.output / POINTS, model.points - offset, model.colours, offset)

@@ -16,11 +16,12 @@ from numpy.typing import NDArray
 from pipeline.capture.naming.files import count, some
 from pipeline.engine.stage import StageRun
 from pipeline.errors import UserError
+from pipeline.formats.dataset_files import CAMERAS
 from pipeline.formats.images import read_image, read_mask, read_stored, write_exr, write_mask, write_png
 from pipeline.geometry.cameras import Camera, save_cameras
-from pipeline.geometry.lens import CAMERAS, FRAMES, LENSES, Straightener, bends
+from pipeline.geometry.lens import FRAMES, LENSES, Straightener, bends
 from pipeline.geometry.straight_camera import UNREACHED, Straight, is_wide, object_rays, pinhole, straight_cameras, unreached
-from pipeline.geometry.world import less, offset_of
+from pipeline.geometry.world_offset import less, offset_of
 
 SENSOR_TURN_DEG = 2.0
 """Of a polariser's axis across an object, behind a fisheye: below it, less than the angle is known."""

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.formats.colmap import parameters_of
+from pipeline.formats.ply import write_ply
 from pipeline.geometry.cameras import Camera
-from pipeline.geometry.world import ply_comment
+from pipeline.geometry.world_offset import ply_comment
 
 FRAME_SUFFIX = ".exr"
 """Of the frames that decode wrote, in whose folder sparse/ finds its images."""
@@ -77,13 +78,5 @@ def write_points(
     path: Path, points: NDArray[np.float64], colours: NDArray[np.uint8], offset: NDArray[np.float64] | None = None
 ) -> None:
     """Binary PLY of points [N, 3] with 8-bit colours [N, 3], in the order given; `offset` [3] was taken from them."""
-    table = np.zeros(len(points), [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1")])
-    for i, name in enumerate("xyz"):
-        table[name] = points[:, i]
-    for i, name in enumerate(("red", "green", "blue")):
-        table[name] = colours[:, i]
-    header = "\n".join(["ply", "format binary_little_endian 1.0", *ply_comment(offset), f"element vertex {len(points)}", ""])
-    header += "".join(f"property float {n}\n" for n in "xyz") + "".join(
-        f"property uchar {n}\n" for n in ("red", "green", "blue")
-    )
-    path.write_bytes(header.encode() + b"end_header\n" + table.tobytes())
+    columns = dict(zip("xyz", points.T)) | dict(zip(("red", "green", "blue"), colours.T))
+    write_ply(path, columns, comments=ply_comment(offset))

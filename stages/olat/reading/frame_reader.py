@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from pipeline.errors import UserError
 from pipeline.formats.exr_frame import exr_frame
-from pipeline.formats.images import _open as open_image
-from pipeline.formats.images import read_stored
+from pipeline.formats.images import open_image, read_stored
 from stages.olat.reading.scanline_bands import Band, Picked, picked
 from stages.olat.reading.zip_frames import ZipFrames
 
