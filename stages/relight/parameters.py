@@ -17,8 +17,8 @@ class RelightParameters:
         default="auto", metadata={"help": "shadows and one bounce from the mesh; auto: where training modelled them"}
     )
     mirror: Mirror = field(
-        default="lobe-24",
-        metadata={"help": "mirrored light: facets summed over the lobe, or the split sum, which blurs alike in all directions"},
+        default="tree",
+        metadata={"help": "mirrored light: the lobe summed over a tree of the map's texels, or over facets; or the split sum"},
     )
     shadow_rays: Literal["vertex", "pixel"] = field(
         default="vertex",

@@ -44,7 +44,7 @@ class TrainParameters:
     lobe: Distribution = field(default="beckmann", metadata={"help": "microfacet distribution of the specular lobe"})
     mirror: Mirror = field(
         default="lobe-12",
-        metadata={"help": "mirrored light: facets summed over the lobe, or the split sum (always with schlick)"},
+        metadata={"help": "mirrored light: a sum over facets, over a tree of texels, or the split sum (always with schlick)"},
     )
     environment_resolution: int = _p(32, "texels along a side of the environment cube's faces (texels)")
     occlusion: bool = _p(True, "trace self-shadowing and one bounce where the object occludes itself")
