@@ -60,13 +60,15 @@ class DecodedView:
 
 @dataclass(frozen=True)
 class ViewSource:
-    """One view before decoding: its files, the physical camera behind it, and how to read it."""
+    """One view before decoding: its files, the physical camera behind it, and how to read it; `paged`: one file holds
+    several images, and none of its channels is alpha."""
 
     view: str
     paths: tuple[Path, ...]
     camera: str
     loader: Callable[[], DecodedView] = field(repr=False, compare=False)
     size: tuple[int, int] | None = None
+    paged: bool = False
 
     def read(self) -> DecodedView:
         """Decode this view. Raises UserError naming the file that is unreadable, truncated or of another size."""
@@ -145,6 +147,12 @@ class Capture:
         if self.light_stage is not None:
             return tuple(sorted(self.light_stage.cameras))
         return tuple(sorted({view.camera for view in self.views}))
+
+    @property
+    def camera_file(self) -> Path:
+        """The file that its cameras are read from (readers list it first), else the folder."""
+        pictures = {path for view in self.views for path in view.paths}
+        return next((path for path in self.files if path not in pictures), self.root)
 
     @property
     def truth(self) -> Truth:

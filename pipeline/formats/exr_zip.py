@@ -2,7 +2,8 @@
 
 Through OpenImageIO half the time goes into undoing the predictor byte by byte. Here libdeflate inflates a chunk, and its
 bytes go to interleaved floats in one pass (`exr_kernels`): 1.7 times as many noisy Stokes pixels a second. Any other EXR
-(tiles, parts, other compressions, subsampled or mixed channels, a damaged header) is OpenImageIO's: `open_zip_exr` says
+(tiles, parts, other compressions, subsampled or mixed channels, a data window that is not the display window, other
+primaries, a damaged header) is OpenImageIO's: `open_zip_exr` says
 None. Layout of the file: OpenEXR's "OpenEXR File Layout".
 """
 
@@ -17,6 +18,8 @@ from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
+
+from pipeline.formats.exr_frame import to_rec709
 
 MAGIC = 20000630
 VERSION, LONG_NAMES = 2, 0x400
@@ -140,6 +143,11 @@ def _opened(file: BinaryIO) -> ZipExr | None:
     channels = _channels(attributes["channels"])
     kinds = {kind for _, kind in channels}
     if rows is None or kinds not in ({1}, {2}):
+        return None
+    if attributes["displayWindow"] != attributes["dataWindow"]:
+        return None
+    primaries = attributes.get("chromaticities")
+    if primaries is not None and to_rec709(struct.unpack("<8f", primaries)) is not None:
         return None
     width, height = right - left + 1, bottom - top + 1
     file.seek(8 + end)

@@ -69,15 +69,19 @@ class Ply:
         return triangulated(lengths, corners, self.vertices())
 
 
-def write_ply(path: Path, vertices: Mapping[str, NDArray], faces: NDArray | None = None, text: bool = False) -> None:
+def write_ply(
+    path: Path, vertices: Mapping[str, NDArray], faces: NDArray | None = None, text: bool = False, comments: Sequence[str] = ()
+) -> None:
     """Write vertex properties by name [V] each and, where given, triangles [F, 3].
 
     Columns of uint8 become uchar, all others float (32 bits). text: ascii with TEXT_DIGITS significant digits, else binary.
+    comments: lines for the header.
     """
     columns = {n: np.asarray(c) for n, c in vertices.items()}
     columns = {n: c if c.dtype == np.uint8 else c.astype("<f4" if not text else np.float64) for n, c in columns.items()}
     count = len(next(iter(columns.values())))
-    head = ["ply", f"format {'ascii' if text else 'binary_little_endian'} 1.0", f"element vertex {count}"]
+    head = ["ply", f"format {'ascii' if text else 'binary_little_endian'} 1.0"]
+    head += [*(f"comment {c}" for c in comments), f"element vertex {count}"]
     head += [f"property {'uchar' if c.dtype == np.uint8 else 'float'} {n}" for n, c in columns.items()]
     if faces is not None:
         head += [f"element face {len(faces)}", "property list uchar int vertex_indices"]

@@ -10,7 +10,10 @@ from typing import Any
 
 from pipeline.errors import UserError, nearest
 
-NAMES = {bool: "true or false", int: "a whole number", float: "a number", str: "text", tuple: "a list", dict: "a table"}
+NAMES: dict[type, str] = {bool: "true or false", int: "a whole number", float: "a number (finite)", str: "text"}
+NAMES |= {tuple: "a list", dict: "a table"}
+MAY_BE_INFINITE = frozenset({"extinction"})
+"""Settings whose ideal is infinite: a polariser's extinction ratio."""
 
 
 def typed(value: Any, kind: Any, key: str, source: str, text: bool = False) -> Any:
@@ -63,11 +66,20 @@ def _scalar(value: Any, kind: type, key: str, source: str, text: bool) -> Any:
         number = float(value) if text and isinstance(value, str) else value
     except ValueError:
         raise _wrong(value, kind, key, source) from None
-    if isinstance(number, bool) or not isinstance(number, int | float) or not math.isfinite(number):
+    infinite = kind is float and key.rpartition(".")[2] in MAY_BE_INFINITE
+    if isinstance(number, bool) or not isinstance(number, int | float) or not _is_number(number, infinite):
         raise _wrong(value, kind, key, source)
     if kind is int and not (isinstance(number, int) or number.is_integer()):
         raise _wrong(value, kind, key, source)
     return kind(number)
+
+
+def _is_number(number: float, infinite: bool) -> bool:
+    """Whether a float can hold it: finite, or where it may be also infinite."""
+    try:
+        return math.isfinite(number) or (infinite and not math.isnan(number))
+    except OverflowError:  # an integer beyond any float
+        return False
 
 
 def _one_of(value: Any, kind: type, key: str, source: str) -> Any:

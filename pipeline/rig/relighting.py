@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from pipeline.formats.images import RGB, XYZ, read_image
 from pipeline.geometry.cameras import Camera
+from pipeline.rig.frame_files import frames_root
 from pipeline.rig.latlong_lights import as_lights, irradiance_per_light
 
 READERS = 2
@@ -33,11 +34,13 @@ def relight_olat(
     irradiance: float = np.pi,
     specular_factor: float = 2.0,
     up: str = "y",
+    decode_folder: Path | None = None,
 ) -> NDArray[np.float32]:
     """The object under a map, as the sum of its frames weighted by the light in each light's cell: float32 [H, W, 3].
 
     olat_index: decode's `olat.json` (its path or content); camera: "camNN"; env_latlong [h, w, 3] linear; mask [H, W]: black
-    outside; irradiance, specular_factor: `capture.config.olat`; up: `capture.up`. Frames are read one after another.
+    outside; irradiance, specular_factor: `capture.config.olat`; up: `capture.up`; decode_folder: where olat.json lies, needed
+    with its content alone. Frames are read one after another.
     Raises UserError naming a frame that cannot be read.
     """
     index = json.loads(Path(olat_index).read_text()) if isinstance(olat_index, str | Path) else olat_index
@@ -45,7 +48,8 @@ def relight_olat(
     lights = index["lights"]
     weights = irradiance_per_light(env_latlong, np.array(lights["directions"]), up)
     weights /= irradiance * np.array(lights["intensity"])[:, None]
-    root = Path(capture_root)
+    decode = Path(olat_index).parent if isinstance(olat_index, str | Path) else Path(decode_folder or capture_root)
+    root = frames_root(index, Path(capture_root), decode)
     out = np.zeros((int(entry["height"]), int(entry["width"]), 3))
 
     def both(pair: tuple[str, str]) -> tuple[NDArray, NDArray]:

@@ -16,7 +16,8 @@ from pipeline.errors import UserError
 from pipeline.formats.dataset_files import MASKS
 from pipeline.formats.images import read_stokes, write_png
 from pipeline.geometry.cameras import Camera
-from pipeline.geometry.lens import Straightener, frame_table, frames_folder, lenses
+from pipeline.geometry.lens import frame_table, frames_folder, lenses
+from pipeline.geometry.worlds import ONE_WORLD
 from stages.masks.given import THRESHOLD, GivenMask, read_given
 from stages.masks.parameters import choose_method
 
@@ -36,6 +37,7 @@ def make_masks(stage: StageRun) -> None:
         views[name] = {"method": methods[name], "coverage": float((mask > THRESHOLD).mean())}
         if views[name]["coverage"] == 0:
             views[name]["left_out"] = "the mask is empty"
+    refuse_two_worlds(stage, pixels)
     if stage.parameters.hull_check and stage.capture.kind == "multiview":
         flag_disagreement(stage, pixels, views)
     if stage.capture.kind == "multiview":
@@ -79,6 +81,22 @@ def flag_disagreement(stage: StageRun, masks: dict[str, NDArray[np.uint8]], view
         )
     elif flagged and all(views[name]["method"] in GIVEN for name in flagged):
         stage.warn(f"{stage.capture.root}: most masks disagree with each other: are cameras and masks of the same views?")
+
+
+def refuse_two_worlds(stage: StageRun, masks: dict[str, NDArray[np.uint8]]) -> None:
+    """Raise UserError where two physical cameras have poses of two worlds: each one's masks agree, not with the other's."""
+    from stages.masks.inputs import cameras_of
+
+    if stage.capture.kind != "multiview" or len(stage.capture.camera_names) < 2:
+        return
+    from stages.masks.worlds import other_world
+
+    cameras = cameras_of(stage)
+    names = [name for name in sorted(masks) if name in cameras and (masks[name] > THRESHOLD).any()]
+    small = [shrunk(masks[name], cameras[name]) for name in names]
+    pair = other_world([mask for mask, _ in small], [camera for _, camera in small])
+    if pair is not None:
+        raise UserError(stage.capture.root, f"the masks of {pair[0]} and {pair[1]} have no common hull", ONE_WORLD)
 
 
 def say_if_one_sided(stage: StageRun) -> None:
@@ -195,7 +213,7 @@ def multiview_masks(stage: StageRun, method: str) -> dict[str, tuple[NDArray[np.
     if method == "given":
         given = stage.capture.masks if isinstance(stage.capture.masks, dict) else {}
         for view, mask in given_masks(stage, given, "masks").items():
-            out[view] = Straightener(bent[view]).mask(mask) if view in bent else mask, "given"
+            out[view] = bent[view].mask(mask) if view in bent else mask, "given"
     elif method == "alpha":
         folder = frames_folder(stage.inputs)
         alphas = {view: folder / frame["alpha"] for view, frame in frames.items() if frame["alpha"]}

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from pipeline.errors import UserError
 from pipeline.formats.dataset_files import MESH
 from pipeline.formats.ply import Ply
+from pipeline.geometry.world_offset import offset_told
 
 from .table import Table
 
@@ -56,7 +57,8 @@ def read_mesh(path: Path) -> tuple[NDArray, NDArray]:
 def mesh_table(folder: Path, truth: Path, count: int) -> Table:
     """Figures of mesh.ply."""
     table = Table()
-    mesh = read_mesh(folder / MESH)
+    vertices, faces = read_mesh(folder / MESH)
+    mesh = vertices + offset_told(folder / MESH), faces
     table.figures["triangles"] = len(mesh[1])
     if truth.is_file():
         table.figures |= surface_figures(mesh, read_mesh(truth), count)

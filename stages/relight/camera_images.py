@@ -34,6 +34,7 @@ def relight_stage(run: StageRun) -> None:
                 summed = relight_olat(
                     index, run.capture.root, name, radiance, mask,
                     irradiance=config.irradiance, specular_factor=config.specular_factor, up=up,
+                    decode_folder=index_path.parent,
                 )  # fmt: skip
                 _write(run, path.stem, name + files.SUMMED, summed)
                 if "olat" in run.inputs and (run.inputs["olat"] / name).is_dir():  # a camera that saw no object has no maps

@@ -13,6 +13,7 @@ import torch
 from pipeline.formats.gbuffer import NORMAL, PARTS, SurfaceImage, channels_of
 from pipeline.formats.images import STOKES, write_rgb
 from pipeline.formats.ply import write_ply
+from pipeline.geometry.world_offset import ply_comment
 
 from .render_view import Rendered
 from .splats.gaussians import SplatModel, to_numpy
@@ -79,10 +80,11 @@ def with_normals(
     return out
 
 
-def write_gaussians(path: Path, model: SplatModel, frame: SceneFrame) -> None:
+def write_gaussians(path: Path, model: SplatModel, frame: SceneFrame, offset: np.ndarray | None = None) -> None:
     """Write gaussians.ply as 3DGS and 2DGS viewers read it: raw opacity (logit), log scales, wxyz quaternions.
 
-    path: the file; model: in the training frame; frame: the way back to the capture's world.
+    path: the file; model: in the training frame; frame: the way back to the capture's world; offset [3]: was taken from all
+    world positions (`pipeline.geometry.world_offset`), and a comment tells it.
 
     A third, very small scale makes viewers that know only 3D Gaussians show discs.
     """
@@ -110,7 +112,7 @@ def write_gaussians(path: Path, model: SplatModel, frame: SceneFrame) -> None:
     for k, c in enumerate("rgb"):
         columns[f"albedo_{c}"] = values["albedo"][:, k]
     columns["ior"], columns["roughness"] = values["ior"], values["roughness"]
-    write_ply(path, columns)
+    write_ply(path, columns, comments=ply_comment(offset))
 
 
 def _rotated(quaternions: np.ndarray, rotation: np.ndarray) -> np.ndarray:

@@ -10,6 +10,7 @@ import numpy as np
 from pipeline.formats import dataset_files as files
 from pipeline.formats.gbuffer import write_gbuffer
 from pipeline.formats.images import write_exr
+from pipeline.geometry.cameras import world_offset
 from pipeline.geometry.lens import frame_table
 from pipeline.report.explained import FEWEST, doubts, explained
 
@@ -99,7 +100,8 @@ def write_results(trainer: Trainer, start: Start, sources: list[SourceView], sta
                 channels = export.with_normals(channels, normals, view, frame)
                 write_exr(files.held_back_image(output, source.name), channels)
             bar.advance()
-    export.write_gaussians(output / "gaussians.ply", trainer.scene.model, frame)
+    offset = world_offset(stage.inputs["poses"] / files.CAMERAS)
+    export.write_gaussians(output / "gaussians.ply", trainer.scene.model, frame, offset)
     export.write_environment(output / files.ENVIRONMENT, trainer.scene.environment.radiance(), frame)
     export.write_polarisers(output / files.POLARISERS, trainer.scene.bank)
     facts = {

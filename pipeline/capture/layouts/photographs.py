@@ -26,6 +26,7 @@ from pipeline.capture.naming.grouping import Group
 from pipeline.capture.recognition.one_framing import changes_light
 from pipeline.capture.recognition.strangers import sort_out
 from pipeline.errors import UserError
+from pipeline.formats.bare_arrays import ARRAY_SUFFIXES
 
 
 def recognise(root: Path) -> bool:
@@ -33,8 +34,8 @@ def recognise(root: Path) -> bool:
 
 
 def loose_images(root: Path) -> list[Path]:
-    """Image files that lie in the capture's folder itself."""
-    wanted = set(IMAGE_SUFFIXES) | set(UNREADABLE)
+    """Image files, arrays and bare samples that lie in the capture's folder itself."""
+    wanted = set(IMAGE_SUFFIXES) | set(UNREADABLE) | ARRAY_SUFFIXES
     return sorted(
         p for p in root.iterdir() if p.suffix.lower() in wanted and not p.name.startswith((".", "clean_plate")) and p.is_file()
     )

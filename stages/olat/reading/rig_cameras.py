@@ -15,6 +15,7 @@ from pipeline.engine.stage import StageRun
 from pipeline.errors import UserError
 from pipeline.formats.images import read_mask
 from pipeline.geometry.cameras import Camera, camera_from_frame
+from pipeline.rig.frame_files import frames_root
 from stages.olat.parameters import OlatParameters, every
 from stages.olat.reading.frame_reader import is_half
 from stages.olat.reading.scanline_bands import Band, bands_of
@@ -45,7 +46,9 @@ def camera_jobs(stage: StageRun) -> list[CameraJob]:
 
     Raises UserError where none does, or masks and frames differ in size.
     """
-    found = {name: _job(stage, name, entry) for name, entry in decoded(stage)["cameras"].items()}
+    index = decoded(stage)
+    frames = frames_root(index, stage.capture.root, stage.inputs["decode"])
+    found = {name: _job(stage, name, entry, frames) for name, entry in index["cameras"].items()}
     jobs = [job for job in found.values() if job is not None]
     blind = [name for name, job in found.items() if job is None]
     if not jobs:
@@ -57,7 +60,7 @@ def camera_jobs(stage: StageRun) -> list[CameraJob]:
     return jobs
 
 
-def _job(stage: StageRun, name: str, entry: dict[str, Any]) -> CameraJob | None:
+def _job(stage: StageRun, name: str, entry: dict[str, Any], frames: Path) -> CameraJob | None:
     root = stage.capture.root
     parameters: OlatParameters = stage.parameters
     camera = camera_from_frame({"file_path": name, **entry["camera"]}, {}, stage.inputs["decode"] / "olat.json")
@@ -72,7 +75,7 @@ def _job(stage: StageRun, name: str, entry: dict[str, Any]) -> CameraJob | None:
     if not mask.any():
         return None
     step = every(parameters.lights)
-    cross, parallel = ([root / p for p in entry[key]][::step] for key in ("cross", "parallel"))
+    cross, parallel = ([frames / p for p in entry[key]][::step] for key in ("cross", "parallel"))
     half = all(is_half(path) for path in (cross[0], parallel[0]))
     bands = bands_of(mask, len(cross), parameters.band_mb, 2 if half else 4)
     return CameraJob(name, cross, parallel, camera, mask, half, bands)

@@ -18,7 +18,8 @@ from pipeline.formats.images import read_exr, read_image
 from pipeline.geometry.cameras import Camera, load_cameras
 from pipeline.geometry.lens import FRAMES
 
-Split = Literal["train", "validation", "test"]
+Split = Literal["train", "validation", "test", "left_out"]
+LEARNT = ("train", "validation")  # the rest is rendered, not learnt from: test views, and views that do not show the object
 BLACK_BACKGROUND = 0.01  # background radiance over foreground radiance below which the edge pixels are premultiplied
 FEWEST_VIEWS = 4  # below this neither a hull nor an environment is determined at all
 
@@ -60,7 +61,9 @@ def load_sources(decode: Path, poses: Path, masks: Path | None, polarisation: st
         if name not in cameras:
             continue
         split: Split = parts.get(name, "train")
-        sources.append(_load(name, index["views"][name], cameras[name], decode, masks, split, mode))
+        source = _load(name, index["views"][name], cameras[name], decode, masks, split, mode)
+        unseen = split == "train" and not (source.mask > 0.5).any()
+        sources.append(replace(source, split="left_out") if unseen else source)
     usable = [s for s in sources if s.split == "train" and ((s.mask > 0.5) & s.valid).sum() > 20]
     if len(usable) < FEWEST_VIEWS:
         raise UserError(
