@@ -9,7 +9,7 @@ SPARE = 9 + 12 + 6 + 1
 """Scratch floats per light of the mixed-tangent fit: 9 of a light near the lobe, 12 derivatives, 6 of one lobe, 1 weight."""
 ROWS = 3 + 14 + 3 + 3 + 2 + SPARE
 """Floats per light in a pixel's workspace."""
-ROOM = 6 * CHUNK + 4 + ROWS
+WORKSPACE_PER_LIGHT = 6 * CHUNK + 4 + ROWS
 """Floats per light in a thread's workspace: a chunk's samples, directions and energies of near lights, a pixel's workspace."""
 
 JOINT, HALF_VECTOR, CORRELATION = 0, 1, 2
