@@ -79,12 +79,12 @@ def table_ours(p: Pixels) -> dict[str, Cell]:
     count = len(light)
     w = [np.ascontiguousarray(v) for v in p.rig.directions.T.astype(np.float32)]
     light32, use32 = light.astype(np.float32), found["n_d"]["use"].astype(np.float32)
-    room = [np.zeros(len(w[0]), np.float32) for _ in range(2)]
+    workspace = [np.zeros(len(w[0]), np.float32) for _ in range(2)]
     normals = np.zeros((count, 3), np.float32)
 
     def diffuse() -> np.ndarray:
         for k in range(count):
-            normals[k] = fit_normal(light32[k], use32[k], w[0], w[1], w[2], 1, True, room[0], room[1])[:3]
+            normals[k] = fit_normal(light32[k], use32[k], w[0], w[1], w[2], 1, True, workspace[0], workspace[1])[:3]
         return normals
 
     def albedo(name: str, model: np.ndarray, kind: Any) -> Callable[[], np.ndarray]:

@@ -17,7 +17,7 @@ ARRAY_SUFFIXES = frozenset({".npy", ".raw"})
 FORMAT = re.compile(r"^(mono|bayer(?:rg|gb|gr|bg)|rgb|polarized\w*mono)(8|10|12|14|16)(p|packed)?$", re.IGNORECASE)
 PACKED = {("10", "p"): 5, ("12", "p"): 3, ("12", "packed"): 3}
 """Bytes of a group of samples (four of 10 bits, two of 12 bits)."""
-TELL = 'tell raw.width, raw.height and raw.format (as "Mono8", "Mono12p", "Mono16") in capture.toml'
+SET = 'set raw.width, raw.height and raw.format (as "Mono8", "Mono12p", "Mono16") in capture.toml'
 
 
 class ArrayInput:
@@ -73,7 +73,7 @@ def _as(samples: NDArray[Any], kind: str) -> NDArray[Any]:
 
 
 def open_array(path: Path) -> ArrayInput:
-    """The samples of a .npy or .raw file. Raises UserError naming what is wrong with it or not told."""
+    """The samples of a .npy or .raw file. Raises UserError naming what is wrong with it or not known."""
     return _open_npy(path) if path.suffix.lower() == ".npy" else _open_raw(path)
 
 
@@ -106,7 +106,7 @@ def _plain_type(array: NDArray[Any], path: Path) -> NDArray[Any]:
 def _open_raw(path: Path) -> ArrayInput:
     config, where = _raw_config(path)
     if config is None or None in (config.width, config.height, config.format):
-        raise UserError(path, "holds bare samples: their size and format are not in the file", TELL)
+        raise UserError(path, "holds bare samples: their size and format are not in the file", SET)
     match = FORMAT.match(config.format)
     if match is None or (match[3] and (match[2], match[3].lower()) not in PACKED):
         known = "known: Mono8 .. Mono16, Mono10p, Mono12p, Mono12Packed, BayerRG8 and so on, RGB8"
@@ -152,14 +152,14 @@ def unpacked(data: NDArray[np.uint8], bits: int, style: str, count: int) -> NDAr
 def _raw_config(path: Path) -> tuple[Any, Path]:
     """capture.toml's [raw] of the capture that `path` lies in, and that file."""
     for folder in path.absolute().parents:
-        told = folder / "capture.toml"
-        if told.is_file():
-            return _told(told, told.stat().st_mtime_ns), told
+        settings = folder / "capture.toml"
+        if settings.is_file():
+            return _settings(settings, settings.stat().st_mtime_ns), settings
     return None, path
 
 
 @lru_cache(maxsize=8)
-def _told(path: Path, changed: int) -> Any:
+def _settings(path: Path, changed: int) -> Any:
     from pipeline.capture.config import load_config
 
     return load_config(path.parent).raw

@@ -123,8 +123,8 @@ def _camera(lens: Lens, matrix: NDArray[np.float64], files: Mapping[str, Path], 
         focal = 1 if model in ONE_FOCAL else 2
         frame = dict(zip(("fl_x", "fl_y")[:focal], numbers)) | dict(zip(("cx", "cy"), numbers[focal:]))
         frame |= dict(zip(coefficient_names(model), numbers[focal + 2 :])) | {"w": width, "h": height}
-    told = {"camera_model": model, "file_path": image, "transform_matrix": opengl_from_camera(matrix), **frame}
-    camera = camera_from_frame(told, {}, files["cameras"])
+    entry = {"camera_model": model, "file_path": image, "transform_matrix": opengl_from_camera(matrix), **frame}
+    camera = camera_from_frame(entry, {}, files["cameras"])
     return replace(camera, world_to_camera=matrix)
 
 

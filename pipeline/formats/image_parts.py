@@ -216,4 +216,4 @@ def _qualified(page: Page) -> Page:
 def _refused(pages: list[Page], path: Path) -> list[Page]:
     titles = [page.title for page in pages if page.title]
     named = f" ({', '.join(titles[:6])})" if titles else ""
-    raise UserError(path, f"holds {len(pages)} images{named}, and which one is meant is not told", SPLIT)
+    raise UserError(path, f"holds {len(pages)} images{named}, and which one is meant is not known", SPLIT)

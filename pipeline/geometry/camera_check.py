@@ -92,7 +92,7 @@ FEWEST_TO_JUDGE = 8
 
 
 def refuse_one_place(cameras: Mapping[str, CameraLike], path: str | Path) -> None:
-    """Raise UserError where all cameras stand at one place: nothing of a shape can be told from there."""
+    """Raise UserError where all cameras stand at one place: nothing of a shape can be known from there."""
     if len(cameras) < FEWEST_TO_JUDGE:
         return
     centres = np.stack([camera.centre for camera in cameras.values()])

@@ -149,16 +149,16 @@ def save_cameras(
         {"file_path": (files or {}).get(view, view), "view": view, "camera": camera.name, **frame_of(camera)}
         for view, camera in sorted(cameras.items())
     ]
-    told = {} if offset is None or not np.any(offset) else {"world_offset": [float(x) for x in offset]}
-    Path(path).write_text(json.dumps({"camera_model": PINHOLE, **told, "frames": frames}, indent=1) + "\n")
+    offset_entry = {} if offset is None or not np.any(offset) else {"world_offset": [float(x) for x in offset]}
+    Path(path).write_text(json.dumps({"camera_model": PINHOLE, **offset_entry, "frames": frames}, indent=1) + "\n")
 
 
 def camera_from_frame(frame: Mapping[str, Any], shared: Mapping[str, Any], path: Path) -> Camera:
     """The camera of one `transforms.json` frame; intrinsics from the frame, else from the file. Raises UserError."""
     what = f"frame {frame.get('file_path', '?')}"
-    told = {**shared, **frame}
+    entry = {**shared, **frame}
     lens, distortion = lens_of(frame, shared, path, what)
-    get = {k: number(told[k], k, path, what) for k in (*_INTRINSICS, *_ANGLES) if told.get(k) is not None}
+    get = {k: number(entry[k], k, path, what) for k in (*_INTRINSICS, *_ANGLES) if entry.get(k) is not None}
     _complete(get, lens)
     missing = [k for k in _INTRINSICS if k not in get]
     if missing or "transform_matrix" not in frame:
@@ -172,7 +172,7 @@ def camera_from_frame(frame: Mapping[str, Any], shared: Mapping[str, Any], path:
     try:
         pose = camera_from_opengl(matrix)
     except np.linalg.LinAlgError:
-        pose = np.zeros((4, 4))  # told below
+        pose = np.zeros((4, 4))  # refused below
     camera = Camera(
         width=int(get["w"]),
         height=int(get["h"]),

@@ -55,35 +55,35 @@ def lens_of(frame: Mapping[str, Any], shared: Mapping[str, Any], path: Path, wha
     """Model and coefficients (see `lens_models`) of a frame, from the frame, else from the file. Raises UserError."""
     table = {**shared, **frame}
     name, model, allowed = _model(table, path, what)
-    told = _coefficients(table, path, what)
-    if model == PINHOLE and name not in SHORTER and any(told.get(k) for k in ("k3", "k4", "k5", "k6")):
-        if told.get("k4") and not (told.get("k5") or told.get("k6")):
-            fault = f"{what}: k4 = {told['k4']:g} of {name} is Brown's r⁸ to some programs, OpenCV's rational term to others"
+    stated = _coefficients(table, path, what)
+    if model == PINHOLE and name not in SHORTER and any(stated.get(k) for k in ("k3", "k4", "k5", "k6")):
+        if stated.get("k4") and not (stated.get("k5") or stated.get("k6")):
+            fault = f"{what}: k4 = {stated['k4']:g} of {name} is Brown's r⁸ to some programs, OpenCV's rational term to others"
             raise UserError(path, fault, "undistort the images, or say camera_model FULL_OPENCV if it is OpenCV's")
         model = "FULL_OPENCV"
         allowed = MODELS[model].names
-    spare = [k for k, value in told.items() if value and k not in allowed]
+    spare = [k for k, value in stated.items() if value and k not in allowed]
     if spare:
         remedy = "set camera_model to the model that has it, or remove it if the images are undistorted already"
-        raise UserError(path, f"{what}: {spare[0]} = {told[spare[0]]:g} has no place in the lens model {name}", remedy)
-    coefficients = tuple(told.get(k, 0.0) for k in MODELS[model].names)
+        raise UserError(path, f"{what}: {spare[0]} = {stated[spare[0]]:g} has no place in the lens model {name}", remedy)
+    coefficients = tuple(stated.get(k, 0.0) for k in MODELS[model].names)
     if model == "EUCM" and not (0 <= coefficients[0] <= 1 and coefficients[1] > 0):
         raise UserError(path, f"{what}: EUCM needs alpha in [0, 1] and beta above 0", "add them")
     return model, () if is_pinhole(model, coefficients) else coefficients
 
 
 def _model(table: Mapping[str, Any], path: Path, what: str) -> tuple[str, str, tuple[str, ...]]:
-    """(the name as told, the model, the coefficients that it has)."""
-    told = table.get(MODEL_KEY)
-    if told is None and table.get("is_fisheye"):
-        told = "OPENCV_FISHEYE"
-    if told is None and (table.get("equirectangular") or table.get("latlong")):
-        told = "EQUIRECTANGULAR"
-    name = PINHOLE if told is None else str(told).upper()
+    """(the name as stated, the model, the coefficients that it has)."""
+    stated = table.get(MODEL_KEY)
+    if stated is None and table.get("is_fisheye"):
+        stated = "OPENCV_FISHEYE"
+    if stated is None and (table.get("equirectangular") or table.get("latlong")):
+        stated = "EQUIRECTANGULAR"
+    name = PINHOLE if stated is None else str(stated).upper()
     if name in SHORTER:
         return name, *SHORTER[name]
     if name not in MODELS:
-        fault = f"{what}: the lens model {told!r} is not understood"
+        fault = f"{what}: the lens model {stated!r} is not understood"
         raise UserError(path, fault, f"undistort the images first; known: {', '.join(known())}")
     return name, name, MODELS[name].names
 
@@ -99,11 +99,11 @@ def known() -> tuple[str, ...]:
 
 
 def _coefficients(table: Mapping[str, Any], path: Path, what: str) -> dict[str, float]:
-    told = {k: number(table[k], k, path, what) for k in COEFFICIENTS if table.get(k) is not None}
+    stated = {k: number(table[k], k, path, what) for k in COEFFICIENTS if table.get(k) is not None}
     listed = table.get("distortion_params")
     if listed is not None:
         if not isinstance(listed, list) or len(listed) > len(IN_ORDER):
             fault = f"{what}: distortion_params is not a list of {', '.join(IN_ORDER)}"
             raise UserError(path, fault, "write the coefficients by name")
-        told |= {k: number(v, f"distortion_params ({k})", path, what) for k, v in zip(IN_ORDER, listed)}
-    return told
+        stated |= {k: number(v, f"distortion_params ({k})", path, what) for k, v in zip(IN_ORDER, listed)}
+    return stated

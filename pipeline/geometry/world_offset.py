@@ -1,4 +1,4 @@
-"""World coordinates too large for the files that hold them: an offset is taken out, stored, and told in every file."""
+"""World coordinates too large for the files that hold them: an offset is taken out, and stored in every file."""
 
 from __future__ import annotations
 
@@ -53,9 +53,9 @@ def ply_comment(offset: NDArray[np.float64] | None) -> list[str]:
     return ["offset " + " ".join(repr(float(x)) for x in offset)]
 
 
-def offset_told(path: Path) -> NDArray[np.float64]:
+def stored_offset(path: Path) -> NDArray[np.float64]:
     """The offset [3] that a PLY's header tells; zero where it tells none."""
     with path.open("rb") as file:
         head = file.read(LONGEST_HEADER).partition(b"end_header")[0].decode("ascii", "replace")
-    told = [line.split()[2:] for line in head.splitlines() if line.startswith("comment offset ")]
-    return np.array([float(x) for x in told[0]]) if told else np.zeros(3)
+    stated = [line.split()[2:] for line in head.splitlines() if line.startswith("comment offset ")]
+    return np.array([float(x) for x in stated[0]]) if stated else np.zeros(3)

@@ -55,8 +55,8 @@ def explained(
     off = float(np.abs(gain * a - b).mean() / b.mean())
     off = float(np.sqrt(max(off**2 - by_noise**2, 0.0)))
     x, y = a.mean(-1), b.mean(-1)
-    told = y.std() > 2 * by_noise * y.mean() / np.sqrt(3) and x.std() > 0
-    likeness = float(np.corrcoef(x, y)[0, 1]) if told else (0.0 if y.std() > 2 * by_noise * y.mean() else None)
+    above_noise = y.std() > 2 * by_noise * y.mean() / np.sqrt(3) and x.std() > 0
+    likeness = float(np.corrcoef(x, y)[0, 1]) if above_noise else (0.0 if y.std() > 2 * by_noise * y.mean() else None)
     return Explained(likeness, off, None if polarised is None else _unexplained(*polarised, noise))
 
 

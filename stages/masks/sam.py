@@ -21,7 +21,7 @@ from stages.masks.inputs import frame_s0
 MEAN, STD = np.array([123.675, 116.28, 103.53], np.float32), np.array([58.395, 57.12, 57.375], np.float32)
 """ImageNet's, in 8-bit codes: what SAM was trained with."""
 POINTS = 8
-STRAY_PCT, BOX_ROOM = 2.0, 0.05
+STRAY_PCT, BOX_MARGIN = 2.0, 0.05
 """Of the points, left out at either side of a box; and what it is widened by, of its size."""
 
 
@@ -82,8 +82,8 @@ def prompt_box(camera: Camera | None, cloud: NDArray | None, width: int, height:
     if len(pixels) < POINTS:
         return None
     low, high = np.percentile(pixels, [STRAY_PCT, 100 - STRAY_PCT], axis=0)
-    room = BOX_ROOM * (high - low)  # features lie inside outlines
-    return np.concatenate([np.maximum(low - room, 0), np.minimum(high + room, [width, height])])
+    margin = BOX_MARGIN * (high - low)  # features lie inside outlines
+    return np.concatenate([np.maximum(low - margin, 0), np.minimum(high + margin, [width, height])])
 
 
 def _seen(camera: Camera | None, cloud: NDArray | None, width: int, height: int) -> NDArray[np.float64]:

@@ -77,5 +77,5 @@ def _write_poisson(run: StageRun, mesh: Mesh, views: Views, voxel: float) -> Non
     surface = largest_pieces(without_slivers(poisson_surface(mesh, run.parameters.poisson_depth)), 0.02)
     surface = in_fixed_order(keep_faces(surface, surface.area() > 0))
     surface, _ = bake(surface, views, 3 * voxel)
-    told = ply_comment(world_offset(run.inputs["poses"] / files.CAMERAS))
-    write_ply(run.output / "mesh_poisson.ply", vertex_table(surface), surface.faces, comments=told)
+    comments = ply_comment(world_offset(run.inputs["poses"] / files.CAMERAS))
+    write_ply(run.output / "mesh_poisson.ply", vertex_table(surface), surface.faces, comments=comments)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pipeline.errors import UserError
 from pipeline.formats.dataset_files import MESH
 from pipeline.formats.ply import Ply
-from pipeline.geometry.world_offset import offset_told
+from pipeline.geometry.world_offset import stored_offset
 
 from .table import Table
 
@@ -58,7 +58,7 @@ def mesh_table(folder: Path, truth: Path, count: int) -> Table:
     """Figures of mesh.ply."""
     table = Table()
     vertices, faces = read_mesh(folder / MESH)
-    mesh = vertices + offset_told(folder / MESH), faces
+    mesh = vertices + stored_offset(folder / MESH), faces
     table.figures["triangles"] = len(mesh[1])
     if truth.is_file():
         table.figures |= surface_figures(mesh, read_mesh(truth), count)

@@ -17,7 +17,7 @@ from pipeline.formats.images import RGB, channel_names, image_size, read_image, 
 class Target:
     """What a test view should look like: `stokes` [H, W, 3, 3] or `rgb` [H, W, 3], black where nothing is compared.
 
-    inside: wholly covered pixels [H, W]; compared: those that hold the object's light [H, W], all where not told.
+    inside: wholly covered pixels [H, W]; compared: those that hold the object's light [H, W], all where None.
     """
 
     stokes: NDArray[np.float32] | None

@@ -33,10 +33,10 @@ def train_table(train: Path, decode: Path, masks: Path | None, truth: Truth, fra
     angles = json.loads(polarisers.read_text()) if polarisers.exists() else {}
     for view in tests:
         table.rows.append({"view": view, **_view_figures(train, decode, masks, truth, view, frames, angles)})
-    told = {
+    of_views = {
         row["view"]: Explained(row.get("likeness"), row.get("off"), row.get("polarisation_unexplained")) for row in table.rows
     }
-    table.doubts = doubts(told)
+    table.doubts = doubts(of_views)
     table.figures["views"] = len(tests)
     table.means()
     table.missing(NORMALS, "the capture has no gt/normal")

@@ -28,7 +28,7 @@ from stages.olat.maps.preview import write_preview
 from stages.olat.parameters import OlatParameters, every
 from stages.olat.pixel_fit.fit_options import SPECULAR_FITS, FitOptions
 from stages.olat.pixel_fit.many_pixels import fit, load, ready
-from stages.olat.pixel_fit.result_layout import FLAG, GOOD, RESIDUAL, columns
+from stages.olat.pixel_fit.result_layout import FLAG, GOOD, RESIDUAL, map_slices
 from stages.olat.reading.frame_reader import Samples, ahead
 from stages.olat.reading.misregistration import WARN_PX, Misregistration
 from stages.olat.reading.rig_cameras import PILOT, CameraJob, decoded
@@ -200,7 +200,7 @@ def write_camera(stage: StageRun, job: CameraJob, parts: Iterator[Part], setting
             if parameters.albedo_over_occlusion:
                 divide_by_occlusion(rows)
             verdict.add(rows)
-            directed += int(np.count_nonzero(rows[:, columns()["tangent"]].any(1)))
+            directed += int(np.count_nonzero(rows[:, map_slices()["tangent"]].any(1)))
             writer.write(band, rows)
     with ThreadPoolExecutor(1) as pool:
         picture = pool.submit(write_preview, stage.output / job.name / "preview.png", writer.preview)
@@ -252,5 +252,5 @@ def nearest_points(camera: Camera, view: NDArray[np.float64]) -> NDArray[np.floa
 def divide_by_occlusion(rows: NDArray[np.float64]) -> None:
     """PRF's optional last step, in place: albedos over occlusion, where at least a twentieth of the light arrives."""
     for albedo, occlusion in (("diffuse_albedo", "occlusion_d"), ("specular_albedo", "occlusion_s")):
-        shade = rows[:, columns()[occlusion]]
-        rows[:, columns()[albedo]] /= np.where(shade > LEAST_LIGHT, shade, 1.0)
+        shade = rows[:, map_slices()[occlusion]]
+        rows[:, map_slices()[albedo]] /= np.where(shade > LEAST_LIGHT, shade, 1.0)

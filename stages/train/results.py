@@ -40,7 +40,7 @@ def finish_polarisers(trainer: Trainer, stage: StageRun) -> None:
             apart = abs((found - given + 90) % 180 - 90)
             if apart > max(OTHER_ANGLE_DEG, 4 * std):
                 stage.warn(
-                    f"polariser {name}: told {given % 180:.0f} degrees, but the pictures fit {found:.0f} ± {std:.0f}: check "
+                    f"polariser {name}: set to {given % 180:.0f} degrees, but the pictures fit {found:.0f} ± {std:.0f}: check "
                     "the angle and how it is counted (counter-clockwise from the image's x axis), or find it (trusted = false)"
                 )
     reason = bank.undetermined()

@@ -111,9 +111,9 @@ def frame(**more):
 def test_a_frames_lens_is_read_whole(tmp_path, keys, lens, distortion):
     camera = camera_from_frame(frame(**keys), {}, tmp_path / "transforms.json")
     assert (camera.lens, camera.distortion) == (lens, distortion)
-    told = frame(**keys)
-    rest = {"file_path": told.pop("file_path"), "transform_matrix": told.pop("transform_matrix")}
-    from_head = camera_from_frame(rest, told, tmp_path / "transforms.json")
+    entry = frame(**keys)
+    rest = {"file_path": entry.pop("file_path"), "transform_matrix": entry.pop("transform_matrix")}
+    from_head = camera_from_frame(rest, entry, tmp_path / "transforms.json")
     assert (from_head.lens, from_head.distortion, from_head.fx) == (lens, distortion, camera.fx)
 
 

@@ -28,8 +28,8 @@ def build(root, suffix, make, toml="", stem="{k:06d}", **header):
     """make(linear light, k, pass) -> pixels; header: name -> f(k, pass)."""
     for name in ("cross", "parallel"):
         for k in range(LIGHTS):
-            told = {key: value(k, name) for key, value in header.items()}
-            write(root / f"cam00/{name}/{stem.format(k=k)}.{suffix}", make(light(k, name), k, name), **told)
+            attributes = {key: value(k, name) for key, value in header.items()}
+            write(root / f"cam00/{name}/{stem.format(k=k)}.{suffix}", make(light(k, name), k, name), **attributes)
     (root / "cameras").mkdir()
     (root / "cameras/camera00.txt").write_text(CAMERA)
     a = np.arange(LIGHTS)
@@ -79,7 +79,7 @@ def test_eight_bits_are_srgb_and_that_is_said(run_stages, tmp_path, suffix):
     holds(index, folder, rtol=0.06)
 
 
-def test_eight_bits_told_to_be_linear(run_stages, tmp_path):
+def test_eight_bits_stated_to_be_linear(run_stages, tmp_path):
     root = build(tmp_path / "c", "png", lambda x, k, n: codes(x, 8), 'radiometry.encoding = "linear"\n')
     _, folder, warnings = decoded(run_stages, root, tmp_path)
     assert folder == root and "taken as linear" in warnings[0]
@@ -131,7 +131,7 @@ def test_a_pass_of_longer_exposure(run_stages, tmp_path):
     assert parallel / cross == pytest.approx(light(1, "parallel").mean() / light(1, "cross").mean(), rel=5e-3)
 
 
-def test_exposures_told_for_some_frames_or_none_are_refused(run_stages, tmp_path):
+def test_exposures_known_for_some_frames_or_none_are_refused(run_stages, tmp_path):
     root = build(tmp_path / "c", "tif", lambda x, k, n: codes(x), "[radiometry]\nexposure_s = { cross = 0.5 }\n")
     with pytest.raises(UserError, match=r"capture\.toml: radiometry\.exposure_s tells 6 of 12 frames"):
         run_stages(root, tmp_path / "a", "decode")

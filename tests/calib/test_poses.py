@@ -132,8 +132,8 @@ def test_marker_of_known_length_sets_the_scale(corner, corner_scene, tmp_path):
     for (_, path), image in zip(sorted(pictures.items()), corner[0]):
         write_png(path, image)
     cameras = dict(zip(sorted(pictures), corner[1]))
-    told = PosesConfig(marker_length=0.05)
-    assert world_scale(told, cameras, pictures, tmp_path) == pytest.approx(0.05 / corner_scene.marker_side, rel=0.02)
+    settings = PosesConfig(marker_length=0.05)
+    assert world_scale(settings, cameras, pictures, tmp_path) == pytest.approx(0.05 / corner_scene.marker_side, rel=0.02)
     with pytest.raises(UserError, match=r"no marker of 5X5_50.*two or more views"):
         world_scale(PosesConfig(marker_length=0.05, marker_dictionary="5X5_50"), cameras, pictures, tmp_path)
     with pytest.raises(UserError, match=r"marker_dictionary = 'QR'"):

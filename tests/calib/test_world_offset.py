@@ -9,7 +9,7 @@ import pytest
 from pipeline.formats.images import write_stokes
 from pipeline.formats.ply import Ply, write_ply
 from pipeline.geometry.cameras import Camera, frame_of, load_cameras, world_offset
-from pipeline.geometry.world_offset import less, offset_of, offset_told, ply_comment
+from pipeline.geometry.world_offset import less, offset_of, ply_comment, stored_offset
 from stages.calib.poses.write import write_sparse
 
 UTM = np.array([450_000.25, 5_200_000.5, 120.0])
@@ -86,7 +86,7 @@ def test_points_of_a_given_model_are_brought_near(run_stages, tmp_path):
     poses = run_stages(root, tmp_path / "d", "decode", "poses")["poses"].output
     from stages.train.initialise.points import read_points
 
-    offset = offset_told(poses / "points.ply")
+    offset = stored_offset(poses / "points.ply")
     assert offset.tolist() == world_offset(poses / "cameras.json").tolist() and offset.any()
     np.testing.assert_allclose(read_points(poses / "points.ply") + offset, points + UTM, atol=1e-6)
 
@@ -96,7 +96,7 @@ def test_a_mesh_tells_its_offset_only_where_it_has_one(tmp_path):
     write_ply(tmp_path / "a.ply", columns, faces, comments=ply_comment(UTM))
     write_ply(tmp_path / "b.ply", columns, faces, comments=ply_comment(np.zeros(3)))
     assert Ply(tmp_path / "a.ply").triangles().tolist() == [[0, 1, 2]]
-    assert offset_told(tmp_path / "a.ply").tolist() == UTM.tolist() and not offset_told(tmp_path / "b.ply").any()
+    assert stored_offset(tmp_path / "a.ply").tolist() == UTM.tolist() and not stored_offset(tmp_path / "b.ply").any()
     assert b"comment" not in (tmp_path / "b.ply").read_bytes()
 
 

@@ -1,4 +1,4 @@
-"""Whatever can be wrong with a capture is told in one line that names the file, or read soundly with a warning."""
+"""Whatever can be wrong with a capture is reported in one line that names the file, or read soundly with a warning."""
 
 import json
 
@@ -142,7 +142,7 @@ def test_pixels_that_are_not_finite_are_filled_and_marked(scene, write, tmp_path
     refused(tmp_path, "0001.exr", "no finite pixel", view="0001")
 
 
-def test_eight_bit_and_rotated_pictures_are_told(tmp_path):
+def test_eight_bit_and_rotated_pictures_are_reported(tmp_path):
     from PIL import Image
 
     (tmp_path / "images").mkdir()

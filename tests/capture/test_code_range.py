@@ -52,7 +52,7 @@ def test_twelve_bits_moved_up_within_fourteen(tmp_path):
     assert "white_level = 16380" in mosaics(tmp_path, 12, shift=2).warnings[0]
 
 
-def test_what_is_told_is_not_searched(tmp_path):
+def test_what_is_specified_is_not_searched(tmp_path):
     mosaics(tmp_path, 12)
     (tmp_path / "capture.toml").write_text("radiometry.white_level = 4095\n")
     capture = open_capture(tmp_path)

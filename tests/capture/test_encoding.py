@@ -1,4 +1,4 @@
-"""Linear light or sRGB: told by four angles where they tell it, and by a degree of polarisation of at most one."""
+"""Linear light or sRGB: decided by four angles where they determine it, and by a degree of polarisation of at most one."""
 
 import numpy as np
 import pytest
@@ -45,7 +45,7 @@ def test_sixteen_bit_stacks_are_tested_too(tmp_path):
     assert 'radiometry.encoding = "srgb"' in capture.warnings[0] and median_error(capture, 0.5) < 0.01
 
 
-def test_what_is_told_is_not_tested(tmp_path):
+def test_what_is_specified_is_not_tested(tmp_path):
     stack(tmp_path, srgb=False)
     (tmp_path / "capture.toml").write_text('radiometry.encoding = "srgb"\n')
     assert open_capture(tmp_path).warnings == ()

@@ -35,11 +35,11 @@ def test_bare_mosaics_in_files_of_viewers(tmp_path, suffix, bits):
 
 
 @pytest.mark.parametrize("suffix", ["bmp", "png", "tga", "tif"])
-@pytest.mark.parametrize("told", [True, False])
-def test_three_equal_channels_are_one(tmp_path, suffix, told):
+@pytest.mark.parametrize("specified", [True, False])
+def test_three_equal_channels_are_one(tmp_path, suffix, specified):
     for i in range(2):
         write(tmp_path / "images" / f"{i}.{suffix}", np.repeat(codes(mosaic(stokes(i)), 8)[..., None], 3, -1))
-    if told:
+    if specified:
         (tmp_path / "capture.toml").write_text('[mosaic]\ncolour = "mono"\n')
     is_mosaic_of(tmp_path)
 
@@ -52,10 +52,10 @@ def test_grey_with_alpha_is_one_channel(tmp_path):
     assert capture.views[0].read().alpha is not None
 
 
-def test_a_mosaic_that_is_told_but_has_colours_is_refused(tmp_path):
+def test_a_specified_mosaic_that_has_colours_is_refused(tmp_path):
     write(tmp_path / "images" / "a.png", codes(stokes(0)[:, :, 0]))
     (tmp_path / "capture.toml").write_text('[mosaic]\ncolour = "mono"\n')
-    with pytest.raises(UserError, match=r"\[mosaic\] is told, but.*a\.png.*differ"):
+    with pytest.raises(UserError, match=r"\[mosaic\] is set, but.*a\.png.*differ"):
         open_capture(tmp_path)
 
 
@@ -87,7 +87,7 @@ RAW = "[raw]\nwidth = {0}\nheight = {0}\nformat = '{1}'\n"
 
 
 @pytest.mark.parametrize("name", ["Mono8", "Mono12", "Mono16", "Mono10p", "Mono12p", "Mono12Packed"])
-def test_bare_samples_of_told_size(tmp_path, name):
+def test_bare_samples_of_known_size(tmp_path, name):
     bits = int("".join(c for c in name if c.isdigit()))
     (tmp_path / "images").mkdir()
     for i in range(2):
@@ -152,7 +152,7 @@ def test_colour_with_a_mask_in_alpha_stays_colour(tmp_path):
     assert capture.polarisation == "none" and capture.masks == "alpha"
 
 
-def test_pages_of_other_angles_are_told_or_refused(tmp_path):
+def test_pages_of_other_angles_are_specified_or_refused(tmp_path):
     for i in range(2):
         pages = {str(k): (codes(behind(stokes(i), a)), "R G B") for k, a in enumerate((0, 60, 120))}
         write_parts(tmp_path / "images" / f"{i}.tif", pages)

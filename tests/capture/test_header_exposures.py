@@ -9,9 +9,9 @@ from tests.capture.little_captures import ANGLES, behind, codes, dolp, mosaic, r
 
 
 def views(root, exposures, bright=None, suffix="tif", seconds=True):
-    """Photographs of one scene; `exposures`: factors told in the header, `bright`: those that the pixels have."""
-    for i, (told, have) in enumerate(zip(exposures, bright or exposures)):
-        header = {"ExposureTime": told / 100} if seconds and told else {}
+    """Photographs of one scene; `exposures`: factors stated in the header, `bright`: those that the pixels have."""
+    for i, (stated, have) in enumerate(zip(exposures, bright or exposures)):
+        header = {"ExposureTime": stated / 100} if seconds and stated else {}
         light = np.repeat(stokes(i)[:, :, 0] * 0.3 * have, 1, 0)
         pixels = light.astype(np.float16) if suffix == "exr" else codes(light)
         write(root / "images" / f"{i:03d}.{suffix}", pixels, **header)
@@ -41,9 +41,9 @@ def test_thirds_of_a_stop_that_headers_round_are_no_difference(tmp_path):
 def test_iso_and_aperture_count_like_time(tmp_path, header):
     (name, values), factors = next(iter(header.items())), (1, 4)
     for i in range(4):
-        told = {"ExposureTime": 0.01, "FNumber": 8.0, "Exif__PhotographicSensitivity": 100}
-        told[name.replace(":", "__")] = values[i % 2]
-        write(tmp_path / "images" / f"{i}.png", codes(stokes(i)[:, :, 0] * 0.2 * factors[i % 2]), **told)
+        stated = {"ExposureTime": 0.01, "FNumber": 8.0, "Exif__PhotographicSensitivity": 100}
+        stated[name.replace(":", "__")] = values[i % 2]
+        write(tmp_path / "images" / f"{i}.png", codes(stokes(i)[:, :, 0] * 0.2 * factors[i % 2]), **stated)
     capture = open_capture(tmp_path)
     assert not capture.warnings
     levels = [np.median(v.read().rgb / stokes(i)[:, :, 0]) for i, v in enumerate(capture.views)]
@@ -83,7 +83,7 @@ def test_camera_raw_files_are_brought_to_one_exposure(tmp_path):
     assert [float(np.median(v.read().rgb)) for v in capture.views] == pytest.approx([800 / 3936] * 3, rel=5e-3)
 
 
-def test_told_exposures_win_and_names_that_fit_nothing_are_refused(tmp_path):
+def test_known_exposures_win_and_names_that_fit_nothing_are_refused(tmp_path):
     views(tmp_path, (1, 3))
     (tmp_path / "capture.toml").write_text('[radiometry]\nexposure_s = { "000" = 0.5, "001.tif" = 0.25 }\n')
     capture = open_capture(tmp_path)

@@ -227,15 +227,15 @@ def test_camera_files_that_are_not_read_are_named_with_the_way_out(name, views, 
 
 # ---- transforms.json -------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize(
-    "told",
+    "template",
     [
         "images\\{:03d}.png", ".\\images\\{:03d}.png", "C:\\me\\scene\\images\\{:03d}.png", "/home/me/scene/images/{:03d}.png",
         "../other/{:03d}.png", "images/{:03d}", "./images/{:03d}", "D:/x/{:03d}.JPG", "images/{:03d}.jpg", "{:03d}",
     ],
 )  # fmt: skip
-def test_paths_of_other_machines_are_matched_by_name(told, views, tmp_path):
+def test_paths_of_other_machines_are_matched_by_name(template, views, tmp_path):
     images(tmp_path, views)
-    ball.save(tmp_path / "transforms.json", ball.transforms([c for c, _ in views], [told.format(i) for i in range(VIEWS)]))
+    ball.save(tmp_path / "transforms.json", ball.transforms([c for c, _ in views], [template.format(i) for i in range(VIEWS)]))
     capture = open_capture(tmp_path)
     same(capture, views)
     assert not capture.warnings

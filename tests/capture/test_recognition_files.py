@@ -115,15 +115,15 @@ def test_grey_pictures_among_mosaics_are_left_out_by_their_pixels(pictures, tmp_
     assert capture.layout == "mosaic" and len(capture.views) == VIEWS and "grey_0.png, grey_1.png" in said(capture)
 
 
-@pytest.mark.parametrize("told", [True, False])
+@pytest.mark.parametrize("specified", [True, False])
 @pytest.mark.parametrize("shape", ["three channels", "four channels", "grey and alpha", "8 bits"])
-def test_equal_channels_of_a_mosaic_are_one(told, shape, pictures, tmp_path):
+def test_equal_channels_of_a_mosaic_are_one(specified, shape, pictures, tmp_path):
     for i, (_, stokes, _) in enumerate(pictures):
         grey = ball.codes(ball.mosaic(stokes), 8 if shape == "8 bits" else 16)
         opaque = np.full_like(grey, np.iinfo(grey.dtype).max)
         parts = {"four channels": [grey] * 3 + [opaque], "grey and alpha": [grey, opaque]}.get(shape, [grey] * 3)
         ball.write(tmp_path / "images" / f"{i}.png", np.stack(parts, -1))
-    if told:
+    if specified:
         (tmp_path / "capture.toml").write_text('[mosaic]\ncolour = "mono"\n')
     capture = open_capture(tmp_path)
     assert capture.polarisation == "stokes"

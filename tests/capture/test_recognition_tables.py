@@ -32,18 +32,18 @@ def refused(root, toml, *words):
 ANGLES = "[stack.angles_deg]\n_a = 0\n_b = 60\n_c = 120\n"
 
 
-def test_told_angles_that_fit_everything_are_used(root):
+def test_known_angles_that_fit_everything_are_used(root):
     (root / "capture.toml").write_text(ANGLES)
     capture = open_capture(root)
     assert capture.layout == "angle_stack" and len(capture.views) == VIEWS and not capture.warnings
 
 
-def test_told_angles_that_miss_files_name_them(root):
+def test_known_angles_that_miss_files_name_them(root):
     ball.write(root / "images/IMG_7.png", ball.codes(ball.picture(ball.ring(1)[0])[0]))
     refused(root, ANGLES, "1 of 10 images", "IMG_7.png")
 
 
-def test_told_angles_that_fit_nothing_name_the_endings(root):
+def test_known_angles_that_fit_nothing_name_the_endings(root):
     refused(root, "[stack.angles_deg]\n_x = 0\n_y = 60\n_z = 120\n", "none of the 9 images", "'_x'", "v0_a.png")
 
 
@@ -51,24 +51,24 @@ def test_an_ending_that_no_file_has_is_named(root):
     refused(root, ANGLES + "_d = 150\n", "no image ends in '_d'")
 
 
-def test_told_angles_behind_a_table_of_cameras_are_held_against_the_files(root):
+def test_known_angles_behind_a_table_of_cameras_are_held_against_the_files(root):
     ball.save(root / "transforms.json", ball.transforms(ball.ring(VIEWS), [f"images/v{i}_a.png" for i in range(VIEWS)]))
     refused(root, "[stack.angles_deg]\n_x = 0\n_y = 60\n_z = 120\n", "none of the 9 images")
     (root / "capture.toml").write_text(ANGLES)
     assert open_capture(root).layout == "stack_transforms"
 
 
-def test_a_preview_is_no_miss_of_told_angles(root):
+def test_a_preview_is_no_miss_of_known_angles(root):
     ball.write(root / "images/preview.png", ball.codes(ball.picture(ball.ring(1)[0])[0]))
     (root / "capture.toml").write_text(ANGLES)
     assert "preview.png" in open_capture(root).warnings[0]
 
 
-def test_mosaics_told_of_colour_pictures(root):
+def test_mosaics_specified_for_colour_pictures(root):
     refused(root, '[mosaic]\ncolour = "mono"\n', "[mosaic]", "9 of 9 images", "differ")
 
 
-def test_mosaics_told_that_miss_some_files(tmp_path):
+def test_specified_mosaics_that_miss_some_files(tmp_path):
     for i, camera in enumerate(ball.ring(VIEWS)):
         ball.write(tmp_path / f"images/{i}.png", ball.codes(ball.mosaic(ball.picture(camera)[1])))
     ball.write(tmp_path / "images/zz.png", ball.codes(ball.picture(ball.ring(1)[0])[0]))

@@ -21,13 +21,13 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture
 def views(captures, tmp_path) -> Path:
-    """A copy of the multi-view capture to spoil."""
+    """A copy of the multi-view capture to damage."""
     return Path(shutil.copytree(captures / "views", tmp_path / "views"))
 
 
 @pytest.fixture
 def stage(captures, tmp_path) -> Path:
-    """A copy of the light stage to spoil."""
+    """A copy of the light stage to damage."""
     return Path(shutil.copytree(captures / "stage", tmp_path / "stage"))
 
 
@@ -80,7 +80,7 @@ def test_camera_without_an_image_is_named_and_left_out(views):
     assert made == {f"{k:03d}" for k in range(16)} - {"004"}
 
 
-def test_image_without_a_camera_is_told(views):
+def test_image_without_a_camera_is_reported(views):
     table = json.loads((views / "transforms.json").read_text())
     table["frames"].pop(3)
     (views / "transforms.json").write_text(json.dumps(table))
@@ -95,7 +95,7 @@ def test_mask_of_another_size_is_named(views):
     assert_refused(run(views), "002.png", root=views.parent / "out")
 
 
-def test_black_masks_are_left_out_and_told_and_all_black_ones_refused(views):
+def test_black_masks_are_left_out_and_reported_and_all_black_ones_refused(views):
     write_mask(views / "masks" / "002.png", np.zeros((64, 64), bool))
     outcome = run(views)
     assert outcome.status == 0 and "the mask is empty in 1 view (002)" in outcome.err + outcome.out
@@ -104,14 +104,14 @@ def test_black_masks_are_left_out_and_told_and_all_black_ones_refused(views):
     assert_refused(run(views), "every mask is empty", root=views.parent / "out")
 
 
-def test_white_masks_and_masks_of_ones_are_told(views):
+def test_white_masks_and_masks_of_ones_are_reported(views):
     for path in sorted((views / "masks").iterdir())[:3]:
         write_mask(path, np.ones((64, 64), bool))
     for path in sorted((views / "masks").iterdir())[3:6]:
         write_png(path, read_mask(path).astype(np.uint8))
     outcome = run(views)
-    told = outcome.err + outcome.out
-    assert outcome.status == 0 and "3 masks white all over" in told and "its values are 0, 1" in told
+    said = outcome.err + outcome.out
+    assert outcome.status == 0 and "3 masks white all over" in said and "its values are 0, 1" in said
     coverage = [
         v["coverage"] for v in json.loads((views.parent / "out/masks/current/masks.json").read_text())["views"].values()
     ]
@@ -145,7 +145,7 @@ def test_dataset_that_is_none_is_named(tmp_path, command):
     assert_refused(polarfield(command, "--dataset", tmp_path / "nothing"), "nothing", "DATASET=")
 
 
-def test_pixels_that_are_not_numbers_are_told_and_harmless(views):
+def test_pixels_that_are_not_numbers_are_reported_and_harmless(views):
     path = views / "images" / "001.exr"
     stokes = read_stokes(path)
     stokes[30, 30] = np.nan
@@ -156,7 +156,7 @@ def test_pixels_that_are_not_numbers_are_told_and_harmless(views):
     assert np.isfinite(read_stokes(views.parent / "out" / "decode" / "current" / "frames" / "001.exr")).all()
 
 
-def test_a_black_image_is_told(views):
+def test_a_black_image_is_reported(views):
     path = views / "images" / "003.exr"
     write_stokes(path, 0 * read_stokes(path))
     outcome = run(views, "decode")
@@ -223,12 +223,12 @@ def in_a_small_disk(folder: Path, size: str, options: str, *arguments: object) -
 
 
 @pytest.mark.parametrize("size", ["64k", "400k"])
-def test_full_target_is_told(captures, tmp_path, size):
+def test_full_target_is_reported(captures, tmp_path, size):
     target = tmp_path / "small"
     assert_refused(in_a_small_disk(target, size, "rw", "decode", captures / "views", "--dataset", target / "d"), "small")
 
 
-def test_read_only_target_is_told(captures, tmp_path):
+def test_read_only_target_is_reported(captures, tmp_path):
     target = tmp_path / "fixed"
     assert_refused(in_a_small_disk(target, "1m", "ro", "decode", captures / "views", "--dataset", target / "d"), "fixed")
 

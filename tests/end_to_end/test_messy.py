@@ -1,4 +1,4 @@
-"""A capture as a person would take it: two cameras behind polarisers whose angles are told wrong, a busy background in
+"""A capture as a person would take it: two cameras behind polarisers whose angles are stated wrong, a busy background in
 view, no masks, rolled cameras, noise, clipping, spaces and brackets in names. Shaded here, so no renderer is needed."""
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from pipeline.geometry.cameras import Camera, opengl_from_camera
 from .conftest import polarfield
 
 ANGLES = {"left (1)": 31.0, "right [2]": 119.0}
-TOLD = {"left (1)": 36.0, "right [2]": 114.0}
+STATED = {"left (1)": 36.0, "right [2]": 114.0}
 SIZE, VIEWS, NOISE, CLIP = 72, 20, 3e-3, 1.6
 BLOBS = (((0.0, 0.0, 0.0), (0.62, 0.5, 0.55)), ((0.1, 0.62, 0.05), (0.3, 0.34, 0.3)), ((0.55, -0.05, 0.0), (0.3, 0.18, 0.2)))
 """Ellipsoids: centre and half axes."""
@@ -101,7 +101,7 @@ def messy(tmp_path_factory) -> tuple[Path, dict[str, np.ndarray]]:
         masks[f"{name}_IMG_{1200 + 7 * k} ({k % 3})"] = mask
     table = {"fl_x": 1.9 * SIZE, "fl_y": 1.9 * SIZE, "w": SIZE, "h": SIZE, "frames": frames}
     (root / "transforms.json").write_text(json.dumps(table))
-    toml = "\n".join(f'[polarisers."{name}"]\nangle_deg = {angle}\ntrusted = false' for name, angle in TOLD.items())
+    toml = "\n".join(f'[polarisers."{name}"]\nangle_deg = {angle}\ntrusted = false' for name, angle in STATED.items())
     (root / "capture.toml").write_text(toml + "\n")
     return root, masks
 

@@ -262,7 +262,7 @@ def test_a_mistyped_argument_is_one_line_with_the_nearest_valid_name(refused, ca
     assert "usage:" not in line
 
 
-def test_a_gpu_that_is_not_there_is_told_before_anything_runs(command, refused, capture, stages, monkeypatch):
+def test_a_gpu_that_is_not_there_is_reported_before_anything_runs(command, refused, capture, stages, monkeypatch):
     torch = pytest.importorskip("torch")
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     from pipeline.engine import cli
@@ -276,7 +276,7 @@ def test_a_gpu_that_is_not_there_is_told_before_anything_runs(command, refused, 
     assert command("count", capture.root, "--dataset", "d", "--device", "cuda").status == 0
 
 
-def test_a_capture_that_changes_during_the_run_is_told_and_the_same_command_goes_on(command, capture, monkeypatch):
+def test_a_capture_that_changes_during_the_run_is_reported_and_the_same_command_goes_on(command, capture, monkeypatch):
     from pipeline.engine import cli
 
     make = cli._in_a_process_of_its_own

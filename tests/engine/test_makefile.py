@@ -1,4 +1,4 @@
-"""make: values reach the command as they stand, and a misspelt variable is told instead of ignored."""
+"""make: values reach the command as they stand, and a misspelt variable is reported instead of ignored."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Progress off a terminal: plain lines, with a time left that a slow first step does not spoil."""
+"""Progress off a terminal: plain lines, with a time left that a slow first step does not falsify."""
 
 from __future__ import annotations
 

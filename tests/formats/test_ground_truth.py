@@ -62,7 +62,7 @@ def test_a_captures_own_split_goes_before_the_rule() -> None:
     assert held_back(["a", "b", "c", "d"], parts) == {"b": "validation", "c": "test"}
 
 
-def test_too_few_views_are_told_with_both_numbers() -> None:
+def test_too_few_views_are_reported_with_both_numbers() -> None:
     class Views:
         def __init__(self, count: int) -> None:
             self.views = (None,) * count

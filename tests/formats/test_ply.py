@@ -1,4 +1,4 @@
-"""PLY files: what other programs write is read, damage is told in one line, and what is written stays as it is."""
+"""PLY files: what other programs write is read, damage is reported in one line, and what is written stays as it is."""
 
 from __future__ import annotations
 
@@ -94,12 +94,12 @@ def test_damage_is_one_line_that_names_file_and_fault(tmp_path: Path, data: byte
     assert fault in line and "bad.ply" in line and "\n" not in line and ";" in line
 
 
-def test_a_huge_count_in_a_damaged_header_is_told_at_once(tmp_path: Path) -> None:
+def test_a_huge_count_in_a_damaged_header_is_reported_at_once(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="truncated"):
         read(tmp_path / "a.ply", pyramid("<").replace(b"element vertex 5", b"element vertex 99999999999"))
 
 
-def test_a_file_that_is_not_there_is_told(tmp_path: Path) -> None:
+def test_a_file_that_is_not_there_is_reported(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="no such file"):
         Ply(tmp_path / "none.ply")
 

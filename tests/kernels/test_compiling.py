@@ -30,9 +30,9 @@ def thrice(x):
 SHOW = """
 import json, sys
 sys.path.insert(0, ".")
-import room
-values = room.twice(2), room.thrice(2)
-ours, numbas = room.twice.stats, room.thrice.stats
+import doubling
+values = doubling.twice(2), doubling.thrice(2)
+ours, numbas = doubling.twice.stats, doubling.thrice.stats
 print(json.dumps([values, ours.cache_path, numbas.cache_path, sum(ours.cache_hits.values())]))
 """
 
@@ -49,7 +49,7 @@ def _module(path, text=SOURCE):
 
 def test_other_projects_kernels_stay_where_numba_puts_them(tmp_path, monkeypatch) -> None:
     before = numba.config.CACHE_LOCATOR_CLASSES
-    module = _module(tmp_path / "room.py")
+    module = _module(tmp_path / "doubling.py")
     assert module.twice.stats.cache_path == str(storage.place())
     assert module.thrice.stats.cache_path != str(storage.place())
     assert before == numba.config.CACHE_LOCATOR_CLASSES
@@ -88,24 +88,24 @@ def test_a_kernel_that_makes_no_arrays_goes_without_numbas_runtime(monkeypatch) 
 
 @pytest.mark.parametrize("again", ["@kernel\ndef twice(x):\n    return 4 * x", "kernel(twice.py_func, fastmath=True)"])
 def test_two_kernels_of_one_name_in_a_file_are_refused(tmp_path, again) -> None:
-    with pytest.raises(TypeError, match=r"room\.py:\d+: twice is a kernel already"):
-        _module(tmp_path / "room.py", f"{SOURCE}\n{again}\n")
+    with pytest.raises(TypeError, match=r"doubling\.py:\d+: twice is a kernel already"):
+        _module(tmp_path / "doubling.py", f"{SOURCE}\n{again}\n")
 
 
 def test_what_is_compiled_after_an_edit_is_not_kept(tmp_path) -> None:
-    module = _module(tmp_path / "room.py")
-    assert freshness.settled(tmp_path / "room.py")
-    os.utime(tmp_path / "room.py")  # saved anew while this process runs
-    assert not freshness.settled(tmp_path / "room.py")
+    module = _module(tmp_path / "doubling.py")
+    assert freshness.settled(tmp_path / "doubling.py")
+    os.utime(tmp_path / "doubling.py")  # saved anew while this process runs
+    assert not freshness.settled(tmp_path / "doubling.py")
     assert kernel(module.twice.py_func).stats.cache_path is None
     to_come = time.time() + 3600  # another machine's clock
-    os.utime(tmp_path / "room.py", (to_come, to_come))
-    assert freshness.settled(tmp_path / "room.py")
+    os.utime(tmp_path / "doubling.py", (to_come, to_come))
+    assert freshness.settled(tmp_path / "doubling.py")
 
 
 def test_where_nothing_can_be_written_kernels_still_run(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(storage, "place", lambda: None)
-    module = _module(tmp_path / "room.py")
+    module = _module(tmp_path / "doubling.py")
     assert module.twice(3) == 6
     assert module.twice.stats.cache_path is None
 
@@ -114,12 +114,12 @@ def test_numba_without_its_hook_is_noticed(tmp_path, monkeypatch) -> None:
     """Were the setting ignored, kernels would go stale without a word."""
     monkeypatch.setattr(compiling, "_config", type("Ignored", (), {"CACHE_LOCATOR_CLASSES": ""}))
     with pytest.raises(RuntimeError, match="its rules changed"):
-        _module(tmp_path / "room.py")
+        _module(tmp_path / "doubling.py")
 
 
 @pytest.mark.slow
 def test_processes_that_compile_at_once_leave_whole_code(checkout) -> None:
-    checkout.write("room.py", SOURCE)
+    checkout.write("doubling.py", SOURCE)
     for process in [checkout.start(SHOW) for _ in range(4)]:
         values, ours, numbas, _ = json.loads(finished(process))
         assert values == [4, 6]

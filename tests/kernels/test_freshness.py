@@ -28,8 +28,8 @@ def package(tmp_path) -> Path:
     """A package that another project might have: `kernels.py` and what it imports."""
     sources = {
         "__init__.py": "",
-        "kernels.py": "from .near import NEAR\nfrom room.group import NAME\ndef f():\n    from . import late\n",
-        "near.py": "import room.far\nimport typing\nif typing.TYPE_CHECKING:\n    from room import types_only\nNEAR = 1\n",
+        "kernels.py": "from .near import NEAR\nfrom pkg.group import NAME\ndef f():\n    from . import late\n",
+        "near.py": "import pkg.far\nimport typing\nif typing.TYPE_CHECKING:\n    from pkg import types_only\nNEAR = 1\n",
         "far.py": "import numpy as np\nfrom pipeline.optics import fresnel\n",
         "late.py": "",
         "types_only.py": "",
@@ -38,10 +38,10 @@ def package(tmp_path) -> Path:
         "group/inner.py": "NAME = 1\n",
     }
     for name, text in sources.items():
-        path = tmp_path / "room" / name
+        path = tmp_path / "pkg" / name
         path.parent.mkdir(exist_ok=True)
         path.write_text(text)
-    return tmp_path / "room"
+    return tmp_path / "pkg"
 
 
 def test_a_digest_covers_what_a_file_imports_directly_or_not(package) -> None:

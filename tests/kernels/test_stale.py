@@ -1,4 +1,4 @@
-"""No kernel runs with the numbers of sources that have changed, in any room; what has not changed is not compiled again."""
+"""No kernel runs with the numbers of sources that have changed, in any package; what has not changed is not compiled again."""
 
 from __future__ import annotations
 
@@ -55,9 +55,9 @@ from stages.olat.pixel_fit import separation
 from stages.train.rasterize import kernel_block
 
 def capture():
-    out, room = np.zeros((1, 1, 1), np.float32), np.zeros(1, np.float32)
+    out, workspace = np.zeros((1, 1, 1), np.float32), np.zeros(1, np.float32)
     words = np.ones(1, np.float16).view(np.uint16)[None]
-    exr_kernels.place_halves(words, room, room.view(np.uint32), np.zeros(1, np.int64), out)
+    exr_kernels.place_halves(words, workspace, workspace.view(np.uint32), np.zeros(1, np.int64), out)
     return out[0, 0, 0]
 
 @njit
@@ -124,14 +124,14 @@ def runs(checkout) -> dict[str, tuple[dict[str, float], dict[str, int]]]:
     return found
 
 
-@pytest.mark.parametrize("room", EDITS)
-def test_a_changed_constant_of_another_file_is_computed_with(runs, room) -> None:
-    assert [runs[r][0][room] for r in ("first", "second")] == [BEFORE[room]] * 2
-    assert [runs[r][0][room] for r in ("edited", "edited, beside it", "edited again")] == [AFTER[room]] * 3
+@pytest.mark.parametrize("group", EDITS)
+def test_a_changed_constant_of_another_file_is_computed_with(runs, group) -> None:
+    assert [runs[r][0][group] for r in ("first", "second")] == [BEFORE[group]] * 2
+    assert [runs[r][0][group] for r in ("edited", "edited, beside it", "edited again")] == [AFTER[group]] * 3
 
 
-@pytest.mark.parametrize("room", EDITS)
-def test_unchanged_sources_are_compiled_once(runs, room) -> None:
-    assert runs["first"][1][room] == 1
-    assert runs["edited"][1][room] + runs["edited, beside it"][1][room] in (1, 2)
-    assert [runs[r][1][room] for r in ("second", "edited again")] == [0, 0]
+@pytest.mark.parametrize("group", EDITS)
+def test_unchanged_sources_are_compiled_once(runs, group) -> None:
+    assert runs["first"][1][group] == 1
+    assert runs["edited"][1][group] + runs["edited, beside it"][1][group] in (1, 2)
+    assert [runs[r][1][group] for r in ("second", "edited again")] == [0, 0]

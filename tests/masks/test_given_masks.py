@@ -98,7 +98,7 @@ def facing(azimuths, elevation=0.3):
     return [look_at(place, 0.0, 96) for place in places]
 
 
-def test_cameras_on_one_side_are_told_and_rings_are_not(views):
+def test_cameras_on_one_side_are_reported_and_rings_are_not(views):
     assert one_sided(views.cameras) is None
     assert one_sided(facing(np.linspace(0, 6, 12), 1.0)) is None  # a ring high above a turntable
     assert one_sided(facing(np.linspace(-0.3, 0.3, 12))) == "all cameras look from one side, within 16 degrees"

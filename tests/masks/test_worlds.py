@@ -20,7 +20,7 @@ def named(cameras, name, turn=None, scale=1.0, shift=(0, 0, 0)):
     return out
 
 
-def test_two_worlds_are_told_and_one_is_not(views):
+def test_two_worlds_are_reported_and_one_is_not(views):
     even, odd = views.cameras[::2], views.cameras[1::2]
     masks = [*views.masks[::2], *views.masks[1::2]]
     turn = Rotation.from_euler("xyz", [50, 80, 10], degrees=True).as_matrix()

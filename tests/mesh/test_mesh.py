@@ -62,8 +62,8 @@ def test_rays_that_miss_carve_floaters_away(sphere_views):
     dirty[2:6, 2:6] = 4.5  # a blob beside the object, in one view only
     facing = views[0].normal.copy()
     facing[2:6, 2:6] = -views[0].camera.rays()[2:6, 2:6]
-    spoiled = [type(views[0])(views[0].camera, dirty, facing, views[0].material, views[0].alpha), *views[1:]]
-    assert np.abs(fuse(spoiled).vertices).max() == pytest.approx(np.abs(clean.vertices).max(), rel=0.05)
+    wrong = [type(views[0])(views[0].camera, dirty, facing, views[0].material, views[0].alpha), *views[1:]]
+    assert np.abs(fuse(wrong).vertices).max() == pytest.approx(np.abs(clean.vertices).max(), rel=0.05)
 
 
 def test_fusion_is_repeatable_to_the_bit(sphere_views):

@@ -59,15 +59,15 @@ def judged(directions: np.ndarray, samples=None) -> list[str]:
     cross, parallel, view, out = samples or ball()
     rig = LightTable(directions, directions, np.ones(len(directions)), None)
     seen = Seen(cross, parallel, view, out, rig, np.pi, 2.0)
-    told = explain(seen, directions)
+    found = explain(seen, directions)
     config = SimpleNamespace(olat=SimpleNamespace(lights="lights.csv"))
     stage = Told(lines=[], capture=SimpleNamespace(root=Path("capture"), config=config))
-    assert told is not None
+    assert found is not None
     try:
-        say_frame(stage, told, directions, sound_passes=True)
+        say_frame(stage, found, directions, sound_passes=True)
     except UserError as error:
         return [f"refused {error}"]
-    say_brightness(stage, told.order, seen, directions[told.order.lights])
+    say_brightness(stage, found.order, seen, directions[found.order.lights])
     return stage.lines
 
 
@@ -108,19 +108,19 @@ def test_a_reversed_table_is_named():
     assert "reversed" in line
 
 
-def test_lights_in_no_order_are_told():
+def test_lights_in_no_order_are_reported():
     lines = judged(np.random.default_rng(0).permutation(LIGHTS))
     assert len(lines) == 1 and "does not fit" in lines[0]
 
 
-def test_a_table_turned_by_thirty_degrees_is_told():
+def test_a_table_turned_by_thirty_degrees_is_reported():
     c, s = np.cos(0.52), np.sin(0.52)
     lines = judged(LIGHTS @ np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]))
     assert len(lines) == 1 and "highlights lie" in lines[0]
 
 
 @pytest.mark.parametrize("colours, words", [(1, "as bright as the table says:"), (3, "colours differ")])
-def test_lights_of_other_brightness_or_colour_are_told(colours, words):
+def test_lights_of_other_brightness_or_colour_are_reported(colours, words):
     gains = np.exp(0.3 * np.random.default_rng(1).normal(size=(len(LIGHTS), 1, colours)))
     cross, parallel, view, out = ball()
     (line,) = judged(LIGHTS, (cross * gains, parallel * gains, view, out))
@@ -157,7 +157,7 @@ def test_passes_that_no_fit_survives_are_refused(change, words):
         (lambda c, p: (c, np.roll(p, 7, 0)), "another order"),
     ],
 )
-def test_passes_in_doubt_are_told(change, words):
+def test_passes_in_doubt_are_reported(change, words):
     fault, doubt = passes(change)
     assert fault is None and doubt is not None and words in doubt
 
@@ -182,7 +182,7 @@ def test_light_tables_tell_of_repeated_narrow_and_flat_lights():
 
 
 @pytest.mark.parametrize("flag, words", [(AWAY, "another frame"), (NO_LOBE, "exchanged, equal")])
-def test_maps_that_are_mostly_flagged_are_told(flag, words):
+def test_maps_that_are_mostly_flagged_are_reported(flag, words):
     rows = np.zeros((100, WIDTH))
     rows[:60, FLAG] = flag
     stage = Told(lines=[], note=lambda key, value: None)

@@ -7,10 +7,10 @@ import pytest
 
 from stages.olat.maps.footprint import spreads, surface_widths, with_neighbours
 from stages.olat.maps.tangents import borne_out
-from stages.olat.pixel_fit.result_layout import WIDTH, columns
+from stages.olat.pixel_fit.result_layout import WIDTH, map_slices
 from stages.olat.reading.scanline_bands import Band
 
-AT = columns()
+AT = map_slices()
 
 
 def ball(size: int = 48) -> np.ndarray:
@@ -76,7 +76,7 @@ def test_an_edge_between_surfaces_is_no_spread():
 
 
 @pytest.mark.parametrize("frequency", [0.03, 0.15, 0.25, 0.3])
-def test_the_spread_below_a_pixel_is_told_from_the_neighbours(frequency):
+def test_the_spread_below_a_pixel_is_estimated_from_the_neighbours(frequency):
     """Waves of `frequency` (cycles a pixel) in all directions, 8 x 8 samples a pixel."""
     rng = np.random.default_rng(0)
     fine, count = 8, 40

@@ -101,7 +101,7 @@ def shifted(right: int, down: int) -> Misregistration:
 
 
 @pytest.mark.parametrize("move", [(0, 0), (3, 0), (0, -2), (-4, 5)])
-def test_drift_between_the_passes_is_measured(move):
+def test_misregistration_of_the_passes_is_measured(move):
     assert np.allclose(shifted(*move).shift(), move, atol=0.2)
 
 

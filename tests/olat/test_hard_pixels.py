@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from stages.olat.pixel_fit.many_pixels import fit
-from stages.olat.pixel_fit.result_layout import BAD_SAMPLES, BLACK, FLAG, GOOD, NO_LOBE, SATURATED, TOO_FEW, columns
+from stages.olat.pixel_fit.result_layout import BAD_SAMPLES, BLACK, FLAG, GOOD, NO_LOBE, SATURATED, TOO_FEW, map_slices
 from synth.olat_pixels import angle_deg, make
 
 pytestmark = pytest.mark.slow  # the kernels' first compilation takes most of a minute
 
-AT = columns()
+AT = map_slices()
 
 
 def flags(rows: np.ndarray) -> set[int]:

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from stages.olat.pixel_fit.many_pixels import fit
-from stages.olat.pixel_fit.result_layout import FLAG, columns
+from stages.olat.pixel_fit.result_layout import FLAG, map_slices
 from synth.olat_pixels import Pixels, angle_deg, beckmann, make, rig_of, unit
 
 pytestmark = pytest.mark.slow  # the kernels' first compilation takes most of a minute
 
-AT = columns()
+AT = map_slices()
 
 
 def errors(p: Pixels, rows: np.ndarray) -> dict[str, float]:

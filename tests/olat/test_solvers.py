@@ -6,21 +6,21 @@ import pytest
 from pipeline.errors import UserError
 from stages.olat.pixel_fit.lobe_fit import linear_albedo
 from stages.olat.pixel_fit.many_pixels import fit
-from stages.olat.pixel_fit.result_layout import columns
+from stages.olat.pixel_fit.result_layout import map_slices
 from stages.olat.zoo import solvers as zoo
 from stages.olat.zoo.paper_chain import solve_band
 from synth.olat_pixels import angle_deg, make
 from synth.olat_problems import gradient_norms, linear_gradient, problems
 
 slow = pytest.mark.slow  # jax and the kernels compile for some seconds
-AT = columns()
+AT = map_slices()
 
 
 def available(solver: str) -> None:
     pytest.importorskip(zoo.library(solver), reason="the extra zoo is not installed")
 
 
-def test_a_solver_without_its_package_is_told_with_how_to_get_it(monkeypatch):
+def test_a_solver_without_its_package_is_reported_with_how_to_get_it(monkeypatch):
     monkeypatch.setattr(zoo.importlib.util, "find_spec", lambda name: None)
     with pytest.raises(UserError, match=r"olat\.solver=optax-lbfgs: needs the package optax.*polarfield\[zoo\]"):
         zoo.check_installed("optax-lbfgs")

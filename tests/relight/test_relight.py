@@ -154,7 +154,7 @@ def test_map_of_another_projection_is_refused(tmp_path):
         read_map(tmp_path / "square.hdr")
 
 
-def test_bad_texels_are_black_and_told(tmp_path):
+def test_bad_texels_are_black_and_reported(tmp_path):
     sky = meadow(8)
     sky[0, 0] = np.nan
     sky[1, 1] = -1

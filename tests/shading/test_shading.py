@@ -202,7 +202,7 @@ def test_clamped_values_keep_a_gradient_that_brings_them_back(environment, which
     assert (out.grad != 0).float().mean() > 0.9
 
 
-def test_a_missing_pixel_does_not_spoil_its_neighbours(environment, points):
+def test_a_missing_pixel_does_not_invalidate_its_neighbours(environment, points):
     arguments = points(40)
     light = _light(environment, torch.float32)
     want = shade(*arguments, light).stokes

@@ -85,7 +85,7 @@ def test_a_surface_that_nothing_speaks_against_stays():
     assert sample_depths(points, normals, depths, residual, np.full(residual.shape, 10)).max() < 0.03
 
 
-def test_shallow_depths_count_only_at_the_rim_of_a_certain_recess():
+def test_shallow_depths_count_only_at_the_rim_of_a_certain_concavity():
     points, _ = grid()
     depths = np.zeros(len(points))
     depths[points[:, 0] < 0.12] = 0.06  # certain
@@ -254,7 +254,7 @@ def test_training_finds_a_dent_that_no_silhouette_shows():
 
 
 @pytest.mark.slow
-def test_a_run_resumed_at_a_recess_is_the_same_run(tmp_path):
+def test_a_run_resumed_at_a_concavity_is_the_same_run(tmp_path):
     sources = dented_sources(size=48, count=16)
     trainer = dent_trainer(sources, "on", occlusion=True)
     for _ in range(400):

@@ -25,8 +25,8 @@ def decoded(tmp_path):
     views = {name: {**facts, "file": f"frames/{name}.exr"} for name in cameras}
 
     def load(parts=None):
-        told = {} if parts is None else {"parts": parts}
-        (tmp_path / "frames.json").write_text(json.dumps({"polarisation": "none", "views": views, **told}))
+        stated = {} if parts is None else {"parts": parts}
+        (tmp_path / "frames.json").write_text(json.dumps({"polarisation": "none", "views": views, **stated}))
         return load_sources(tmp_path, tmp_path, None, "auto")[0]
 
     return load
@@ -36,11 +36,11 @@ def names(sources, part):
     return [s.name for s in sources if s.split == part]
 
 
-def test_every_eighth_view_is_held_out_where_nothing_is_told(decoded):
+def test_every_eighth_view_is_held_out_where_nothing_is_specified(decoded):
     assert names(decoded(), "test") == ["v0", "v8"]
 
 
-def test_told_test_and_validation_views_are_held_out(decoded):
+def test_known_test_and_validation_views_are_held_out(decoded):
     parts = {f"v{i}": "test" if i in (3, 4) else "validation" if i == 7 else "train" for i in range(COUNT)}
     sources = decoded(parts)
     assert names(sources, "test") == ["v3", "v4"] and names(sources, "validation") == ["v7"]

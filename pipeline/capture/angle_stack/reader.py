@@ -44,9 +44,9 @@ class _Angle:
     edges: NDArray[np.float32] | None = None
 
 
-def read_stack(group: Group, config: CaptureConfig, told: PolariserConfig | None) -> DecodedView:
+def read_stack(group: Group, config: CaptureConfig, polariser: PolariserConfig | None) -> DecodedView:
     """The view's Stokes image by weighted least squares; invalid samples are left out. Raises UserError."""
-    design = polariser_design([a for a in group.angles if a is not None], told.extinction if told else None)
+    design = polariser_design([a for a in group.angles if a is not None], polariser.extinction if polariser else None)
     angles: list[_Angle] = []
     try:
         for exposures in group.angles.values():

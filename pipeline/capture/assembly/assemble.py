@@ -57,8 +57,8 @@ def assemble(
     warnings = list(warned)
     if cameras is None:
         if table is None and look:
-            table, told = camera_table(root, folder)
-            warnings += told
+            table, warned_of_table = camera_table(root, folder)
+            warnings += warned_of_table
         if table is not None:
             cameras, more = cameras_of_views(table, views, folder)
             warnings += more

@@ -66,8 +66,8 @@ def mosaic_loader(group: Group, config: CaptureConfig, colour: str) -> Callable[
                 f"{samples.shape[1]}x{samples.shape[0]} are no whole {block}x{block} polariser blocks",
                 "crop to whole blocks, or is it no mosaic?",
             )
-        told = config.polarisers.get("camera")  # a mosaic's one physical camera
-        extinction = told.extinction if told else None
+        polariser = config.polarisers.get("camera")  # a mosaic's one physical camera
+        extinction = polariser.extinction if polariser else None
         stokes = demosaic(samples, config.mosaic.order, colour, config.mosaic.bayer, config.mosaic.demosaic, extinction)
         if config.radiometry.white_balance:
             stokes *= np.asarray(config.radiometry.white_balance, np.float32)
@@ -89,7 +89,7 @@ def mosaic_loader(group: Group, config: CaptureConfig, colour: str) -> Callable[
 
 
 def _block_any(saturated: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """A saturated sample spoils every pixel that uses it: its neighbours within two pixels."""
+    """A saturated sample invalidates every pixel that uses it: its neighbours within two pixels."""
     from scipy.ndimage import binary_dilation
 
     return binary_dilation(saturated, iterations=2, structure=np.ones((3, 3), bool)) if saturated.any() else saturated

@@ -107,9 +107,9 @@ def _understood(groups: list[Group], folder: Path, config: CaptureConfig, camera
     if chosen is not None:
         kept = [g for g in groups if g.paths[0] in set(chosen.mosaics)]
         refuse_colour([p for g in kept for p in g.paths], config)
-        told = (left_out_line(chosen.others, STRAYS),) if chosen.others else ()
+        left_out = (left_out_line(chosen.others, STRAYS),) if chosen.others else ()
         mosaics = _mosaics(kept, config, camera_of)
-        return replace(mosaics, warnings=(*told, *mosaics.warnings))
+        return replace(mosaics, warnings=(*left_out, *mosaics.warnings))
     if kind == "mosaic":
         refuse_colour([p for g in groups for p in g.paths], config)
         return _mosaics(groups, config, camera_of)

@@ -79,8 +79,8 @@ def read(path: Path) -> CameraTable:
         lens = lenses[key]
         return Camera(*lens.size, *lens.focal, *lens.centre, pose, lens.distortion, lens=lens.model)
 
-    told = f"{path}: {count(unplaced, 'photograph')} not aligned by Metashape ({some(unplaced)}); left out"
-    return CameraTable(path, "Metashape", tuple(names), len(names), camera, (path,), warnings=(told,) if unplaced else ())
+    warning = f"{path}: {count(unplaced, 'photograph')} not aligned by Metashape ({some(unplaced)}); left out"
+    return CameraTable(path, "Metashape", tuple(names), len(names), camera, (path,), warnings=(warning,) if unplaced else ())
 
 
 def _numbers(element: ElementTree.Element, length: int) -> NDArray[np.float64]:

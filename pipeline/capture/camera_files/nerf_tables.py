@@ -23,9 +23,9 @@ FEWEST = 4
 
 @dataclass(frozen=True)
 class NerfFrame:
-    """One frame as told, the table that it stands in, the file that it means, and its part ("" where none is told)."""
+    """A frame's entry, the table that it stands in, the file that it means, and its part ("" where none is named)."""
 
-    told: dict[str, Any]
+    entry: dict[str, Any]
     table: dict[str, Any]
     where: Path
     path: Path
@@ -64,8 +64,9 @@ def load_frames(files: list[Path]) -> list[NerfFrame]:
     for where in files:
         table = load_table(where)
         parts = _parts_of(where, table)
-        for told in table["frames"]:
-            frames.append(NerfFrame(told, table, where, _as_told(where.parent, told["file_path"]), parts(told["file_path"])))
+        for entry in table["frames"]:
+            name = entry["file_path"]
+            frames.append(NerfFrame(entry, table, where, _as_named(where.parent, name), parts(name)))
     if not any(f.path.is_file() for f in frames):
         frames = _by_name(files[0].parent, frames)
     return frames
@@ -92,7 +93,7 @@ def held_out(parts: dict[str, str]) -> dict[str, str] | None:
     return {view: part or "train" for view, part in parts.items()}
 
 
-def _as_told(base: Path, name: str) -> Path:
+def _as_named(base: Path, name: str) -> Path:
     """The file of a file_path: as named, with an image extension, or with Windows separators read as such."""
     path = existing(base / name)
     if path.is_file() or "\\" not in name:
@@ -112,10 +113,10 @@ def _by_name(base: Path, frames: list[NerfFrame]) -> list[NerfFrame]:
     """Frames whose paths are another machine's (or another folder's), matched with the capture's images by name."""
     folder = image_folder(base)
     images = sort_out(list_images(folder), folder).kept
-    names = [f.told["file_path"] for f in frames]
+    names = [f.entry["file_path"] for f in frames]
     found = entries_of(names, {p.as_posix(): (p,) for p in images}, folder)
     by_entry = {index: Path(name) for name, index in found.items()}
-    return [NerfFrame(f.told, f.table, f.where, by_entry.get(i, f.path), f.part) for i, f in enumerate(frames)]
+    return [NerfFrame(f.entry, f.table, f.where, by_entry.get(i, f.path), f.part) for i, f in enumerate(frames)]
 
 
 def load_table(path: Path) -> dict[str, Any]:

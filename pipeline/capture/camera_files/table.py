@@ -22,7 +22,7 @@ Size = tuple[int, int]
 class CameraTable:
     """Cameras of one file or folder `path`, a `title` for the user.
 
-    names: the image of each entry, as told; None: the entries are in the order of the sorted images. camera(i, size):
+    names: the image of each entry, as named there; None: the entries are in the order of the sorted images. camera(i, size):
     entry i for an image of (width, height) pixels. numbers: of entries in order, where the file numbers them. model: a
     COLMAP folder, which has points too.
     """

@@ -53,10 +53,10 @@ def pictures(root: Path, config: CaptureConfig) -> Pictures:
         found = [p for p in found if not _aside(p, root) and p != plate and plate not in p.parents]
     if not found:
         raise UserError(folder, "holds no image", "copy the photographs into it")
-    table, told = camera_table(root, folder)
+    table, warned = camera_table(root, folder)
     stems = {stem_parts(name)[-1] for name in table.names if stem_parts(name)} if table is not None and table.names else set()
     chosen = sort_out(found, folder, stems)
-    return Pictures(folder, chosen.kept, table, (*chosen.warnings(), *told, *_raw_twins(root, folder, chosen.kept)))
+    return Pictures(folder, chosen.kept, table, (*chosen.warnings(), *warned, *_raw_twins(root, folder, chosen.kept)))
 
 
 def _raw_twins(root: Path, folder: Path, kept: list[Path]) -> list[str]:
@@ -67,8 +67,8 @@ def _raw_twins(root: Path, folder: Path, kept: list[Path]) -> list[str]:
     stems = {p.stem.lower() for p in list_images(other, RAW_SUFFIXES)} & {p.stem.lower() for p in kept}
     if not stems:
         return []
-    told = f"{other}: {count(stems, 'camera raw file')} of the pictures in {folder.name}/ are not used"
-    return [f"{told}; for linear light move them into {folder.name}/ (their JPEGs are then left out)"]
+    warned = f"{other}: {count(stems, 'camera raw file')} of the pictures in {folder.name}/ are not used"
+    return [f"{warned}; for linear light move them into {folder.name}/ (their JPEGs are then left out)"]
 
 
 def _aside(path: Path, root: Path) -> bool:

@@ -54,7 +54,7 @@ def read(root: Path, config: CaptureConfig) -> Capture:
 
     def camera_of(group: Group) -> str:
         frame = frame_for(group, folder, frame_of)
-        return DEFAULT_CAMERA if frame is None else physical_camera(frame.told, group.paths[0], folder, config)
+        return DEFAULT_CAMERA if frame is None else physical_camera(frame.entry, group.paths[0], folder, config)
 
     def is_named(group: Group) -> bool:
         return frame_for(group, folder, frame_of) is not None
@@ -74,14 +74,14 @@ def read(root: Path, config: CaptureConfig) -> Capture:
             spare.append(group.paths[0].name)
             continue
         used.add(id(frame))
-        cameras[view.view] = camera_of_view(frame.told, frame.table, view, frame.where)
+        cameras[view.view] = camera_of_view(frame.entry, frame.table, view, frame.where)
         views.append(view)
         parts[view.view] = frame.part
-        if frame.told.get("mask_path"):
+        if frame.entry.get("mask_path"):
             masks[view.view] = mask_of(frame)
-    missing = [f.told["file_path"] for f in frames if id(f) not in used and not (f.path.is_file() and used)]
+    missing = [f.entry["file_path"] for f in frames if id(f) not in used and not (f.path.is_file() and used)]
     if not views:
-        raise UserError(where, f"none of its {len(frames)} images is there (first: {frames[0].told['file_path']})", MISPLACED)
+        raise UserError(where, f"none of its {len(frames)} images is there (first: {frames[0].entry['file_path']})", MISPLACED)
     warnings += sources.warnings
     if missing:
         warnings.append(f"{where}: no image for {count(missing, 'camera')} ({some(missing)}); left out")
@@ -94,14 +94,14 @@ def read(root: Path, config: CaptureConfig) -> Capture:
         if not mask.is_file():
             raise UserError(mask, f"named in {where.name} but not there", "add it or remove its mask_path")
     check_masks(masks, lambda view: (cameras[view].width, cameras[view].height))
-    told = bool(config.polarisers) or any("camera" in frame.told for frame in frames)
-    kind: Polarisation = "stokes" if sources.holds_stokes else "polarisers" if told else "none"
+    polarised = bool(config.polarisers) or any("camera" in frame.entry for frame in frames)
+    kind: Polarisation = "stokes" if sources.holds_stokes else "polarisers" if polarised else "none"
     plates, plate_files = find_plates(root, config, tuple(views))
     environments = find_environments(root)
     alpha = not masks and all_have_alpha(views)
-    name = {"stokes_files": "stokes_transforms", "colour": f"{'polarisers' if told else 'rgb'}_transforms"}
-    told_by = "cameras: " + ", ".join(_below(p, root) for p in files)
-    facts = sources.facts if files == [root / FILE] else (*sources.facts, told_by)
+    name = {"stokes_files": "stokes_transforms", "colour": f"{'polarisers' if polarised else 'rgb'}_transforms"}
+    cameras_from = "cameras: " + ", ".join(_below(p, root) for p in files)
+    facts = sources.facts if files == [root / FILE] else (*sources.facts, cameras_from)
     return Capture(
         root, name.get(sources.kind, f"{sources.kind}_transforms"), "multiview", kind, sorted_views(views),
         environments=environments, config=config, up=config.up or "y", cameras=cameras, parts=held_out(parts),
@@ -133,9 +133,9 @@ def pictures_of(root: Path, frames: list[NerfFrame]) -> tuple[Path, list[Path], 
 
 def mask_of(frame: NerfFrame) -> Path:
     """The file of a frame's mask_path."""
-    told = frame.told["mask_path"]
-    path = frame.where.parent / told
-    plain = frame.where.parent / told.replace("\\", "/")
+    named = frame.entry["mask_path"]
+    path = frame.where.parent / named
+    plain = frame.where.parent / named.replace("\\", "/")
     return path if path.is_file() else plain
 
 
@@ -145,7 +145,7 @@ def frames_by_view(folder: Path, frames: list[NerfFrame]) -> dict[str, NerfFrame
     for frame in frames:
         relative = os.path.relpath(frame.path, folder)
         if relative in out:
-            raise UserError(frame.where, f"two frames name {frame.told['file_path']}", "remove one of them")
+            raise UserError(frame.where, f"two frames name {frame.entry['file_path']}", "remove one of them")
         out[relative] = frame
     for relative, frame in list(out.items()):
         path = Path(relative)
@@ -166,7 +166,7 @@ def frame_for(group: Group, folder: Path, frame_of: dict[str, NerfFrame]) -> Ner
 def _moves(group: Group, folder: Path, frame_of: dict[str, NerfFrame]) -> bool:
     """Whether the files of one would-be stack have frames with different matrices."""
     found = [frame_of.get(os.path.relpath(p, folder)) for p in group.paths]
-    return len({json.dumps(f.told["transform_matrix"]) for f in found if f is not None and "transform_matrix" in f.told}) > 1
+    return len({json.dumps(f.entry["transform_matrix"]) for f in found if f is not None and "transform_matrix" in f.entry}) > 1
 
 
 def camera_of_view(frame: dict[str, Any], table: dict[str, Any], view: ViewSource, where: Path) -> Camera:
@@ -190,7 +190,7 @@ def common_folder(root: Path, paths: list[Path]) -> Path:
 
 
 def physical_camera(frame: dict[str, Any], path: Path, folder: Path, config: CaptureConfig) -> str:
-    """The camera (= polariser) behind a frame: told by the frame, else by a folder that capture.toml names."""
+    """The camera (= polariser) behind a frame: named by the frame, else by a folder that capture.toml names."""
     if "camera" in frame:
         return str(frame["camera"])
     named = [part for part in path.relative_to(folder).parts[:-1] if part in config.polarisers]

@@ -75,10 +75,10 @@ def read(root: Path, config: CaptureConfig) -> Capture:
 
 
 def _of_folder(config: CaptureConfig, name: str) -> CaptureConfig:
-    """The settings as one folder's files know them: exposures told of VIEWs, which begin with the folder's name here."""
-    told = config.radiometry.exposure_s
-    of_views = {key.removeprefix(f"{name}_"): seconds for key, seconds in told.items() if key.startswith(f"{name}_")}
-    return replace(config, radiometry=replace(config.radiometry, exposure_s={**told, **of_views}))
+    """The settings as one folder's files know them: exposures known by VIEW, which begins with the folder's name here."""
+    known = config.radiometry.exposure_s
+    of_views = {key.removeprefix(f"{name}_"): seconds for key, seconds in known.items() if key.startswith(f"{name}_")}
+    return replace(config, radiometry=replace(config.radiometry, exposure_s={**known, **of_views}))
 
 
 def _refuse_two_worlds(root: Path, views: list[ViewSource], cameras: dict[str, Camera]) -> None:

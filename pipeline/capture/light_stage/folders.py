@@ -71,8 +71,8 @@ def _folders(root: Path, depth: int) -> list[Path]:
     return [*here, *(q for p in here for q in _folders(p, depth - 1))]
 
 
-def _add(cameras: dict[str, CameraFolders], told: str, home: Path, which: str, folder: Path, plain: bool) -> None:
-    name = told if re.fullmatch(r"cam\d+", told) else f"cam{camera_number(told) or 0:02d}"
+def _add(cameras: dict[str, CameraFolders], label: str, home: Path, which: str, folder: Path, plain: bool) -> None:
+    name = label if re.fullmatch(r"cam\d+", label) else f"cam{camera_number(label) or 0:02d}"
     camera = cameras.setdefault(name, CameraFolders(name, home, plain=plain))
     if which in camera.passes:
         raise UserError(folder, f"is the {which} pass of {name}, and so is {camera.passes[which]}", "keep one of the two")

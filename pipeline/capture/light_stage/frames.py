@@ -28,7 +28,7 @@ class PassFrames:
 
 
 def pass_frames(folder: Path, lights: LightTable, table: Path, first: int | None = None) -> PassFrames:
-    """The frames of the pass in `folder` for the lights of `table`; `first`: the number of the frame of index 0, if told.
+    """The frames of the pass in `folder` for the lights of `table`; `first`: the number of the frame of index 0, if known.
 
     Raises UserError when frames are missing, empty, or their numbers do not fit the table.
     """

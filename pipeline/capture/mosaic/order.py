@@ -1,4 +1,4 @@
-"""Does the told order of a polariser mosaic fit its samples? Crossed polarisers share the light: I(t) + I(t + 90) = s0."""
+"""Does the specified order of a polariser mosaic fit its samples? Crossed polarisers share the light: I(t) + I(t + 90) = s0."""
 
 from __future__ import annotations
 
@@ -17,23 +17,24 @@ TILE = 8
 """Blocks a side whose mean is taken: contents differ by a pixel's shift then, polarisation stays."""
 MOST_TILES = 4096
 SURE = 3.0
-"""How much worse the told pairs must fit than others. Renders of two objects: told pairs fit 3 to 10 times better."""
+"""How much worse the specified pairs must fit than others. Renders of two objects: right pairs fit 3 to 10 times better."""
 
 
 def order_fault(samples: NDArray[np.float32], order: Sequence[float]) -> str | None:
-    """A line where pairs that are not told as crossed (90 degrees apart) fit a mosaic [H, W] much better; else None.
+    """A line where pairs that are not specified as crossed (90 degrees apart) fit a mosaic [H, W] much better; else None.
 
     Swapping both crossed pairs, or the angles within one, cannot be seen here: the masks stage looks at the outline.
     """
-    told = next((n for n, pairs in PAIRINGS.items() if all(abs((order[a] - order[b]) % 180 - 90) < 1 for a, b in pairs)), None)
+    crossed = {n: all(abs((order[a] - order[b]) % 180 - 90) < 1 for a, b in pairs) for n, pairs in PAIRINGS.items()}
+    stated = next((n for n, is_so in crossed.items() if is_so), None)
     imbalance = pair_imbalance(samples)
-    if told is None or imbalance is None:
+    if stated is None or imbalance is None:
         return None
     best = min(imbalance, key=lambda n: imbalance[n])
-    if best == told or imbalance[told] < SURE * imbalance[best]:
+    if best == stated or imbalance[stated] < SURE * imbalance[best]:
         return None
     block = " ".join(f"{a:g}" for a in order[:2]) + " / " + " ".join(f"{a:g}" for a in order[2:])
-    return f"crossed polarisers lie {best} here, not {told} as in {block}: is mosaic.order that of this sensor?"
+    return f"crossed polarisers lie {best} here, not {stated} as in {block}: is mosaic.order that of this sensor?"
 
 
 def pair_imbalance(samples: NDArray[np.float32]) -> dict[str, float] | None:

@@ -40,7 +40,7 @@ def read_mosaic(group: Group, config: CaptureConfig) -> LinearImage:
 
 
 def refuse_colour(paths: Sequence[Path], config: CaptureConfig) -> None:
-    """Raise UserError naming a file of several different channels among files that are told, or seen, to be mosaics."""
+    """Raise UserError naming a file of several different channels among files that are specified, or seen, to be mosaics."""
     for path in paths:
         if path.suffix.lower() in RAW_SUFFIXES or single_plane(path):
             continue
@@ -48,8 +48,8 @@ def refuse_colour(paths: Sequence[Path], config: CaptureConfig) -> None:
         remedy = "save the sensor's bare samples as one channel"
         if config.mosaic == MosaicConfig() and config.layout != "mosaic":
             raise UserError(path, f"{differ} the other images are polariser mosaics", f"{remedy}, or move it away")
-        told = "[mosaic] in capture.toml" if config.mosaic != MosaicConfig() else 'layout = "mosaic"'
-        raise UserError(path, f"{differ} {told} says that it is a mosaic", f"{remedy}, or take that out of capture.toml")
+        stated_by = "[mosaic] in capture.toml" if config.mosaic != MosaicConfig() else 'layout = "mosaic"'
+        raise UserError(path, f"{differ} {stated_by} says that it is a mosaic", f"{remedy}, or take that out of capture.toml")
 
 
 def single_plane(path: Path) -> bool:

@@ -76,7 +76,7 @@ def group_and_rest(
         base, seconds, stops = brackets.get(path, (stem, None, None))
         exposures[base].append(Exposure(path, seconds, stops))
     if stacks and config.stack.angles_deg:
-        split: dict[str, tuple[str, float]] | None = _told_angles(exposures, config)
+        split: dict[str, tuple[str, float]] | None = _known_angles(exposures, config)
     else:
         split = _angles(list(exposures), config, exposures) if stacks else None
     if split is None:
@@ -109,18 +109,18 @@ def _brackets(stems: Mapping[Path, str]) -> dict[Path, tuple[str, float | None, 
     return {path: (base, s, e) for base, members in found.items() if len(members) > 1 for path, s, e in members}
 
 
-def _told_angles(exposures: Mapping[str, list[Exposure]], config: CaptureConfig) -> dict[str, tuple[str, float]]:
+def _known_angles(exposures: Mapping[str, list[Exposure]], config: CaptureConfig) -> dict[str, tuple[str, float]]:
     """VIEW and angle of every base name by capture.toml's endings. Raises UserError naming what they miss."""
-    told, where = config.stack.angles_deg, config.path or Path("capture.toml")
+    known, where = config.stack.angles_deg, config.path or Path("capture.toml")
     out, missed, used = {}, [], set()
     for base, found in exposures.items():
-        ending = next((s for s in sorted(told, key=len, reverse=True) if base.endswith(s)), None)
+        ending = next((s for s in sorted(known, key=len, reverse=True) if base.endswith(s)), None)
         if ending is None:
             missed.append(found[0].path.name)
         else:
             used.add(ending)
-            out[base] = (base[: -len(ending)].rstrip("_-/ ") or "view", turned(told[ending], config))
-    idle = [repr(s) for s in told if s not in used]
+            out[base] = (base[: -len(ending)].rstrip("_-/ ") or "view", turned(known[ending], config))
+    idle = [repr(s) for s in known if s not in used]
     if not out:
         fault = f"stack.angles_deg: none of the {len(missed)} images ends in {', '.join(idle)} (first: {sorted(missed)[0]})"
         raise UserError(where, fault, "write the endings of the file names, without extension")

@@ -40,7 +40,7 @@ def angle_pages(path: Path, config: CaptureConfig, look: bool = True) -> dict[fl
 
     `[stack.angles_deg]` names them by page number from 1, by title or by channel; channels and parts called like angles tell
     them; four pages of one size are 0, 45, 90 and 135 degrees; `look`: four channels are, where their pixels say so.
-    Raises UserError on pages whose angles are not told.
+    Raises UserError on pages whose angles are not known.
     """
     if path.suffix.lower() not in MAY_HOLD_SEVERAL | ARRAY_SUFFIXES | FOUR_PLANES:
         return None
@@ -48,13 +48,13 @@ def angle_pages(path: Path, config: CaptureConfig, look: bool = True) -> dict[fl
     if len(pages) == 1:
         found = _by_channel(pages[0], config)
         return found or (_four_in_colour(path, pages[0]) if look and pages[0].names == ("R", "G", "B", "A") else None)
-    found = _told(pages, config) or _by_title(pages)
+    found = _known(pages, config) or _by_title(pages)
     if found is not None or path.suffix.lower() == ".exr":
         return found
     if len(pages) == 4 and len({page.names for page in pages}) == 1:
         return {turned(angle, config): _as_picture(page) for angle, page in zip(USUAL, pages)}
     raise UserError(
-        path, f"holds {len(pages)} images", f'{SPLIT}, or tell stack.angles_deg by their numbers ("1" = 0, "2" = 60, ...)'
+        path, f"holds {len(pages)} images", f'{SPLIT}, or set stack.angles_deg by their numbers ("1" = 0, "2" = 60, ...)'
     )
 
 
@@ -81,13 +81,13 @@ def _as_picture(page: Page) -> Page:
     return Page(page.subimage, page.channels[:count], ("Y",) if count == 1 else ("R", "G", "B"), page.title)
 
 
-def _told(pages: Sequence[Page], config: CaptureConfig) -> dict[float, Page] | None:
+def _known(pages: Sequence[Page], config: CaptureConfig) -> dict[float, Page] | None:
     """By `[stack.angles_deg]`, whose names are page numbers from 1 or titles."""
-    told = config.stack.angles_deg
+    known = config.stack.angles_deg
     named = {str(k): page for k, page in enumerate(pages, 1)} | {page.title: page for page in pages if page.title}
-    if not told or not set(told) <= set(named):
+    if not known or not set(known) <= set(named):
         return None
-    return {turned(angle, config): _as_picture(named[name]) for name, angle in told.items()}
+    return {turned(angle, config): _as_picture(named[name]) for name, angle in known.items()}
 
 
 def _by_title(pages: Sequence[Page]) -> dict[float, Page] | None:
@@ -107,10 +107,10 @@ def _are_angles(angles: Sequence[float]) -> bool:
 
 def _by_channel(page: Page, config: CaptureConfig) -> dict[float, Page] | None:
     """By channels or layers that are called like angles (0, I45, 90.R), or that `[stack.angles_deg]` names."""
-    told = config.stack.angles_deg
-    if len(told) >= 3 and set(told) <= set(page.names):
+    known = config.stack.angles_deg
+    if len(known) >= 3 and set(known) <= set(page.names):
         places = {name: k for k, name in enumerate(page.names)}
-        return {turned(a, config): Page(page.subimage, (page.channels[places[n]],), ("Y",)) for n, a in told.items()}
+        return {turned(a, config): Page(page.subimage, (page.channels[places[n]],), ("Y",)) for n, a in known.items()}
     found: dict[float, Page] = {}
     inside = layers(page.names)
     singles = {name: {"Y": k} for name, k in inside.pop("", {}).items()}

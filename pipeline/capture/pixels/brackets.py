@@ -11,7 +11,7 @@ from pipeline.capture.config import RadiometryConfig
 from pipeline.capture.naming.grouping import Exposure
 from pipeline.capture.pixels.linear import read_linear
 from pipeline.capture.pixels.linear_image import LinearImage
-from pipeline.capture.radiometry.exposure import seconds_told
+from pipeline.capture.radiometry.exposure import known_seconds
 from pipeline.errors import UserError
 
 READ_NOISE = 2e-3
@@ -23,12 +23,12 @@ def read_exposures(
 ) -> LinearImage:
     """One `view`'s exposures as one linear image: a single file as it is, several merged per second of exposure.
 
-    Raises UserError where a file's exposure is not told by name, EXIF or capture.toml, or sizes differ.
+    Raises UserError where a file's exposure is not known by name, EXIF or capture.toml, or sizes differ.
     """
     images = [read_linear(e.path, radiometry, sensor_data, e.page) for e in exposures]
-    told = [_seconds(e, image, radiometry, view) for e, image in zip(exposures, images)]
+    known = [_seconds(e, image, radiometry, view) for e, image in zip(exposures, images)]
     if len(images) == 1:
-        image, seconds = images[0], seconds_told(exposures[0].path, view, radiometry.exposure_s)
+        image, seconds = images[0], known_seconds(exposures[0].path, view, radiometry.exposure_s)
         if seconds:
             image.pixels /= np.float32(seconds)
         return image
@@ -37,10 +37,10 @@ def read_exposures(
         if image.pixels.shape != first.pixels.shape:
             (height, width), (h, w) = image.pixels.shape[:2], first.pixels.shape[:2]
             raise UserError(e.path, f"is {width}x{height}, its bracket {w}x{h}", "one size a bracket")
-    for e, seconds in zip(exposures, told):
+    for e, seconds in zip(exposures, known):
         if seconds is None:
-            raise UserError(e.path, "its exposure is unknown", "name it _ev+1 or _exp0.01, or tell radiometry.exposure_s")
-    times = [float(s) for s in told if s is not None]
+            raise UserError(e.path, "its exposure is unknown", "name it _ev+1 or _exp0.01, or set radiometry.exposure_s")
+    times = [float(s) for s in known if s is not None]
     pixels, lost = merge_exposures([i.pixels for i in images], [i.saturated for i in images], times)
     return LinearImage(pixels, first.names, lost, first.bits, first.orientation, None, first.encoding, first.frame)
 
@@ -67,9 +67,9 @@ def merge_exposures(
 
 
 def _seconds(exposure: Exposure, image: LinearImage, radiometry: RadiometryConfig, view: str | None) -> float | None:
-    told = seconds_told(exposure.path, None if radiometry.exposure_s.get(view or "") is None else view, radiometry.exposure_s)
-    if told is not None:
-        return told
+    known = known_seconds(exposure.path, None if radiometry.exposure_s.get(view or "") is None else view, radiometry.exposure_s)
+    if known is not None:
+        return known
     if exposure.seconds is not None:
         return exposure.seconds
     if exposure.stops is not None:

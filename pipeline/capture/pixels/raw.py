@@ -25,10 +25,10 @@ def read_raw_rgb(path: Path, radiometry: RadiometryConfig) -> LinearImage:
         samples = raw.raw_image_visible
         limit = black.min() + (radiometry.saturation or SATURATION) * (white - black.min())
         clipped = samples >= limit if samples.ndim == 2 else (samples >= limit).any(-1)
-        told = radiometry.black_level
+        known = radiometry.black_level
         rgb16 = raw.postprocess(
             gamma=(1, 1), no_auto_bright=True, no_auto_scale=True, output_bps=16, user_wb=[1, 1, 1, 1],
-            output_color=rawpy.ColorSpace.raw, user_flip=0, user_black=None if told is None else int(told),
+            output_color=rawpy.ColorSpace.raw, user_flip=0, user_black=None if known is None else int(known),
         )  # fmt: skip
         exposure = float(raw.other.shutter_speed or 0) or None
         flip = int(raw.sizes.flip)
@@ -84,14 +84,14 @@ def _words(error: Exception) -> str:
 
 def _levels(raw: Any, radiometry: RadiometryConfig) -> tuple[NDArray[np.float64], float]:
     """Black level of each colour and the white level, in codes; capture.toml's win."""
-    told = radiometry.black_level
-    black = np.asarray(raw.black_level_per_channel if told is None else [told] * 4, float)
+    known = radiometry.black_level
+    black = np.asarray(raw.black_level_per_channel if known is None else [known] * 4, float)
     white = float(raw.white_level if radiometry.white_level is None else radiometry.white_level)
     return black, white
 
 
 def _spread(clipped: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """A clipped sample spoils the colours interpolated from it: its neighbours within one pixel."""
+    """A clipped sample invalidates the colours interpolated from it: its neighbours within one pixel."""
     out = clipped.copy()
     out[1:] |= clipped[:-1]
     out[:-1] |= clipped[1:]

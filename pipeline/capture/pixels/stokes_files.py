@@ -15,7 +15,7 @@ from pipeline.capture.model import DecodedView
 from pipeline.capture.pixels.linear import fill_holes, read_linear
 from pipeline.capture.pixels.linear_image import LinearImage
 from pipeline.capture.pixels.stokes_frame import apply_stokes_config
-from pipeline.capture.radiometry.exposure import seconds_told
+from pipeline.capture.radiometry.exposure import known_seconds
 from pipeline.capture.radiometry.of_file import factor_of
 from pipeline.errors import UserError
 from pipeline.formats.exr_frame import primaries_remark
@@ -46,7 +46,7 @@ def stokes_exr_loader(path: Path, config: CaptureConfig, view_name: str | None =
     def load() -> DecodedView:
         image = read_linear(path, replace(config.radiometry, encoding="linear"))
         stokes = apply_stokes_config(stokes_of(image, path), config.stokes)
-        if seconds := seconds_told(path, view_name, config.radiometry.exposure_s):
+        if seconds := known_seconds(path, view_name, config.radiometry.exposure_s):
             stokes /= np.float32(seconds)
         if config.radiometry.white_balance:
             stokes *= np.asarray(config.radiometry.white_balance, np.float32)
@@ -61,8 +61,8 @@ def stokes_exr_loader(path: Path, config: CaptureConfig, view_name: str | None =
 
 def is_verbatim(view: DecodedView, image: LinearImage, path: Path, names: tuple[str, ...], config: CaptureConfig) -> bool:
     """Whether an EXR file already is what decode would write of it: these channels, as they are."""
-    told = {f.name: getattr(config.radiometry, f.name) for f in fields(RadiometryConfig)}
-    radiometry = RadiometryConfig(**(told | {"encoding": None, "saturation": None, "exif_exposure": None}))
+    settings = {f.name: getattr(config.radiometry, f.name) for f in fields(RadiometryConfig)}
+    radiometry = RadiometryConfig(**(settings | {"encoding": None, "saturation": None, "exif_exposure": None}))
     return (
         path.suffix.lower() == ".exr"
         and set(names) <= set(image.names)

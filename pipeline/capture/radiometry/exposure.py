@@ -98,29 +98,29 @@ class ExposureFindings:
 
 
 def even_out(
-    told: Mapping[Path, HeaderExposure], radiometry: RadiometryConfig, brightness: Callable[[Path], Levels | None]
+    known: Mapping[Path, HeaderExposure], radiometry: RadiometryConfig, brightness: Callable[[Path], Levels | None]
 ) -> ExposureFindings:
-    """Factors that undo differing exposures. None where all are equal, nothing is told, or exposure_s tells them.
+    """Factors that undo differing exposures. None where all are equal, nothing is known, or exposure_s sets them.
 
-    Told by some files alone, or contradicted by the pixels (`brightness`: percentiles of a file's light, None where unknown),
+    Known for some files alone, or contradicted by the pixels (`brightness`: percentiles of a file's light, None where unknown),
     they are not used, and that is said. The usual exposure, which most files have, keeps its codes.
     """
-    if radiometry.exposure_s or radiometry.exif_exposure is False or len(told) < 2:
+    if radiometry.exposure_s or radiometry.exif_exposure is False or len(known) < 2:
         return ExposureFindings({})
-    reference = _usual(told)
-    ratios = {path: exposure.relative_to(reference) for path, exposure in told.items()}
+    reference = _usual(known)
+    ratios = {path: exposure.relative_to(reference) for path, exposure in known.items()}
     factors = {path: 1 / ratio for path, ratio in ratios.items() if abs(math.log(ratio)) > SAME}
     if not factors:
         return ExposureFindings({})
-    paths = sorted(told, key=lambda p: ratios[p])
+    paths = sorted(known, key=lambda p: ratios[p])
     low, high = paths[0], paths[-1]
-    span = f"{told[low].spoken()} to {told[high].spoken()}"
-    silent = [p for p, exposure in told.items() if exposure.tells() != reference.tells()]
+    span = f"{known[low].spoken()} to {known[high].spoken()}"
+    silent = [p for p, exposure in known.items() if exposure.tells() != reference.tells()]
     if silent:
         line = (
             f"{low}: exposures differ between headers ({span}), and {count(silent, 'file')} ({some(p.name for p in silent)}) "
-            "tell less than the others: nothing is divided out; tell each in capture.toml: "
-            f"radiometry.exposure_s = {{ \"{low.stem}\" = {told[low].seconds or 1:g}, ... }}"
+            "tell less than the others: nothing is divided out; state each in capture.toml: "
+            f"radiometry.exposure_s = {{ \"{low.stem}\" = {known[low].seconds or 1:g}, ... }}"
         )
         return ExposureFindings({}, warnings=(line,))
     if radiometry.exif_exposure is None and _contradicted(paths, ratios, brightness):
@@ -134,9 +134,9 @@ def even_out(
     return ExposureFindings(factors, (fact,))
 
 
-def _usual(told: Mapping[Path, HeaderExposure]) -> HeaderExposure:
+def _usual(known: Mapping[Path, HeaderExposure]) -> HeaderExposure:
     """The exposure that most files have; of equally frequent ones the middle one."""
-    counts = Counter(told.values())
+    counts = Counter(known.values())
     most = max(counts.values())
     usual = [e for e, n in counts.items() if n == most]
     usual.sort(key=lambda e: (e.relative_to(HeaderExposure(1.0, 100.0, 1.0)), e.spoken()))
@@ -167,7 +167,7 @@ def _contradicted(paths: Sequence[Path], ratios: Mapping[Path, float], brightnes
     return bool(after.min() > EVENED_OUT * steadiest)
 
 
-def seconds_told(path: Path, view: str | None, exposure_s: Mapping[str, float]) -> float | None:
+def known_seconds(path: Path, view: str | None, exposure_s: Mapping[str, float]) -> float | None:
     """capture.toml's exposure of a file: by its stem, its name, or the VIEW that it belongs to."""
     for name in (path.stem, path.name, view):
         if name is not None and name in exposure_s:

@@ -45,8 +45,8 @@ def understand(groups: Sequence[Group], config: CaptureConfig, kind: str, bayer:
     radiometry = config.radiometry
     single = {e.path: e for g in groups for es in g.angles.values() if len(es) == 1 for e in es}
     headers = {path: _header(e) for path, e in single.items()}
-    told = {path: header.exposure for path, header in headers.items()}
-    exposures = even_out(told, radiometry, lambda path: _brightness(single[path], config, kind))
+    known = {path: header.exposure for path, header in headers.items()}
+    exposures = even_out(known, radiometry, lambda path: _brightness(single[path], config, kind))
     found = FoundRadiometry(**{f.name: getattr(radiometry, f.name) for f in fields(radiometry)}, factors=exposures.factors)
     facts, warnings = [*exposures.facts], [*exposures.warnings]
     files = [(e.path, e) for g in groups for es in g.angles.values() for e in es if e.path.suffix.lower() not in RAW_SUFFIXES]
@@ -107,7 +107,7 @@ def _white_level(files: Sequence[Exposure]) -> tuple[float | None, list[str]]:
     size = first.spec().width * first.spec().height * first.spec().nchannels
     first.close()
     if own is not None:
-        return own, []  # told by raw.format
+        return own, []  # set by raw.format
     used = 0
 
     def looked() -> list[NDArray[np.uint16]]:
@@ -149,15 +149,15 @@ def _encodings(
     size.close()
     some_groups = _spread(usable, each)
     samples = {g.view: _codes_of(g, config, kind, bayer) for g in some_groups}
-    told = {view: _encoding_of(found, usual) for view, found in samples.items()}
+    known = {view: _encoding_of(found, usual) for view, found in samples.items()}
     other = "linear" if usual == "srgb" else "srgb"
-    if usual not in told.values() and other not in told.values() and _together(list(samples.values()), usual) == other:
-        told = dict.fromkeys(told, other)  # what no file tells alone
-    if set(told.values()) <= {None, usual}:
+    if usual not in known.values() and other not in known.values() and _together(list(samples.values()), usual) == other:
+        known = dict.fromkeys(known, other)  # what no file tells alone
+    if set(known.values()) <= {None, usual}:
         return {}, []
-    if usual in told.values():  # not alike: each file that says so clearly
-        told |= {g.view: _encoding_of(_codes_of(g, config, kind, bayer), usual) for g in usable if g.view not in told}
-        chosen = [g for g in usable if told[g.view] == other]
+    if usual in known.values():  # not alike: each file that says so clearly
+        known |= {g.view: _encoding_of(_codes_of(g, config, kind, bayer), usual) for g in usable if g.view not in known}
+        chosen = [g for g in usable if known[g.view] == other]
     else:
         chosen = list(groups)
     encodings = {p: other for g in chosen for p in g.paths}

@@ -34,18 +34,18 @@ def mosaic_set(paths: Sequence[Path], config: CaptureConfig) -> MosaicSet | None
 
     A `[mosaic]` table says so of any kind of file. Raises UserError where it misses some, or where the set is mixed.
     """
-    told = config.mosaic != MosaicConfig()
+    specified = config.mosaic != MosaicConfig()
     if not paths:
         return None
     kinds: dict[tuple[str, int], list[Path]] = defaultdict(list)
     for path in paths:
         kinds[_kind(path)].append(path)
-    found = {kind: files for kind, files in kinds.items() if _may_hold(kind, files, told)}
-    if told:
+    found = {kind: files for kind, files in kinds.items() if _may_hold(kind, files, specified)}
+    if specified:
         if len(found) < len(kinds):
             missed = sorted(p for kind, files in kinds.items() if kind not in found for p in files)
             names = f"{len(missed)} of {len(paths)} images ({some(p.name for p in missed)})"
-            fault = f"[mosaic] is told, but {names} have channels that differ: they hold no mosaic"
+            fault = f"[mosaic] is set, but {names} have channels that differ: they hold no mosaic"
             raise UserError(config.path or "capture.toml", fault, "give the sensor's single-channel files, or drop the table")
         return MosaicSet(tuple(paths), ())
     mosaics = [p for files in found.values() if carriers_seen(files, config) > CARRIER_SHARE for p in _carrying(files, config)]
@@ -66,10 +66,10 @@ def _kind(path: Path) -> tuple[str, int]:
     return "float" if suffix in FLOAT_SUFFIXES else "codes", len(colours)
 
 
-def _may_hold(kind: tuple[str, int], files: list[Path], told: bool) -> bool:
-    """Whether files of this kind can be mosaics: sensor codes of one channel, or of equal ones; any file where told."""
+def _may_hold(kind: tuple[str, int], files: list[Path], specified: bool) -> bool:
+    """Whether files of this kind can be mosaics: sensor codes of one channel, or of equal ones; any file if [mosaic] is set."""
     family, channels = kind
-    if family != "codes" and not told:
+    if family != "codes" and not specified:
         return False
     return channels == 1 or all(single_plane(p) for p in (files[0], files[len(files) // 2], files[-1]))
 

@@ -1,9 +1,9 @@
-"""Do these pictures show one framing under changing light, and not views of an object? Told by a look at a dozen of them.
+"""Do these pictures show one framing under changing light, and not views of an object? Decided by a look at a dozen of them.
 
 Under a fixed camera and a moving light a matt picture is albedo times shading, and shading is linear in the light: about
 three pictures explain all (Shashua 1997; Basri & Jacobs, PAMI 2003), and from one picture to the next a small piece
 becomes brighter or darker but does not move. Where camera or object move, many pictures are needed to explain the rest,
-and a piece's change is better told by a shift than by a gain. A polariser that turns, or an exposure that is bracketed,
+and a piece's change is better explained by a shift than by a gain. A polariser that turns, or an exposure that is bracketed,
 keeps the framing too, but changes light by less or everywhere alike.
 """
 

@@ -31,15 +31,15 @@ def refuse_idle_tables(capture: Capture) -> None:
     if pair:
         raise UserError(config.path, f"poses.scale_pair: no view is called {some(map(repr, pair))}", _nearest(pair[0], views))
     if config.mosaic != MosaicConfig() and not _fact(capture, "polariser mosaic"):
-        fault = f"[mosaic] is told, but the images were understood as {_kind(capture)}"
+        fault = f"[mosaic] is set, but the images were understood as {_kind(capture)}"
         raise UserError(config.path, fault, "give the sensor's single-channel files, or take the table out")
     if config.stack != StackConfig() and not _fact(capture, "stacks behind"):
-        fault = f"[stack] is told, but the images were understood as {_kind(capture)}"
+        fault = f"[stack] is set, but the images were understood as {_kind(capture)}"
         raise UserError(config.path, fault, "name the angle of each file, or take the table out")
     if config.raw != RawConfig() and not any(p.suffix.lower() == ".raw" for v in capture.views for p in v.paths):
-        raise UserError(config.path, "[raw] is told, but no image is a .raw file of bare samples", "take the table out")
+        raise UserError(config.path, "[raw] is set, but no image is a .raw file of bare samples", "take the table out")
     if config.olat != OlatConfig() and capture.light_stage is None:
-        fault = f"[olat] is told, but the capture was understood as {_kind(capture)}, no light stage"
+        fault = f"[olat] is set, but the capture was understood as {_kind(capture)}, no light stage"
         raise UserError(config.path, fault, "put the frames into camNN/cross and camNN/parallel, or take the table out")
     _refuse_idle_polarisers(capture)
     _refuse_idle_radiometry(capture)
@@ -64,8 +64,8 @@ def _refuse_idle_radiometry(capture: Capture) -> None:
     radiometry = capture.config.radiometry
     toml = capture.config.path or capture.root / "capture.toml"
     if capture.layout in ARRAYS and radiometry != RadiometryConfig():
-        told = [f.name for f in fields(radiometry) if getattr(radiometry, f.name) != getattr(RadiometryConfig(), f.name)]
-        raise UserError(toml, f"radiometry.{told[0]} is not used: {capture.layout} files hold Stokes vectors", "take it out")
+        idle = [f.name for f in fields(radiometry) if getattr(radiometry, f.name) != getattr(RadiometryConfig(), f.name)]
+        raise UserError(toml, f"radiometry.{idle[0]} is not used: {capture.layout} files hold Stokes vectors", "take it out")
     below = {p.parent for view in capture.views for p in view.paths} | {capture.root}
     folders = {f for folder in below for f in (folder, *folder.parents) if f.is_relative_to(capture.root)}
     for key in ("dark_frame", "flat_field"):

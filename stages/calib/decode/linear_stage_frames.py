@@ -64,8 +64,8 @@ def radiometry_of(stage: StageRun, light_stage: LightStage) -> RadiometryConfig 
     Raises UserError where capture.toml tells the exposure of some frames only.
     """
     config, names = stage.capture.config, frames_of(light_stage)
-    told = _told_factors(config.radiometry, names, config.path or stage.capture.root / "capture.toml")
-    by_header = False if told else config.radiometry.exif_exposure
+    stated = _stated_factors(config.radiometry, names, config.path or stage.capture.root / "capture.toml")
+    by_header = False if stated else config.radiometry.exif_exposure
     rest = replace(config, radiometry=replace(config.radiometry, exposure_s={}, exif_exposure=by_header))
     known = understand([Group(name, {None: (Exposure(path),)}) for path, name in names.items()], rest, "colour")
     for line in known.warnings:
@@ -73,9 +73,9 @@ def radiometry_of(stage: StageRun, light_stage: LightStage) -> RadiometryConfig 
     for line in known.facts:
         stage.progress.say(line)
     radiometry = known.config.radiometry
-    if told:
+    if stated:
         own = {f.name: getattr(radiometry, f.name) for f in fields(RadiometryConfig)}
-        radiometry = FoundRadiometry(**own, factors=told)
+        radiometry = FoundRadiometry(**own, factors=stated)
     kinds = _kinds(names)
     if eight := [path for path in names if kinds[_kind_key(path)] == "uint8"]:
         how = "linear" if radiometry.encoding == "linear" else "sRGB"
@@ -84,21 +84,21 @@ def radiometry_of(stage: StageRun, light_stage: LightStage) -> RadiometryConfig 
     return radiometry if _changes(radiometry, set(kinds.values())) else None
 
 
-def _told_factors(radiometry: RadiometryConfig, names: dict[Path, str], toml: Path) -> dict[Path, float]:
+def _stated_factors(radiometry: RadiometryConfig, names: dict[Path, str], toml: Path) -> dict[Path, float]:
     """1 / seconds of every frame by capture.toml: under its name, camNN/PASS/FRAME, PASS, or camNN. Raises UserError."""
-    told = radiometry.exposure_s
-    if not told:
+    stated = radiometry.exposure_s
+    if not stated:
         return {}
 
     def keys(path: Path, name: str) -> list[str]:
         camera, folder, _ = name.split("/")
         return [name, name.replace("/", "_"), path.stem, path.name, f"{camera}/{folder}", folder, camera]
 
-    found = {path: next((told[k] for k in keys(path, name) if k in told), None) for path, name in names.items()}
+    found = {path: next((stated[k] for k in keys(path, name) if k in stated), None) for path, name in names.items()}
     silent = [path for path, seconds in found.items() if seconds is None]
     if silent:
         fault = f"radiometry.exposure_s tells {len(found) - len(silent)} of {len(found)} frames (not {silent[0]})"
-        raise UserError(toml, fault, "tell all, as { cross = 0.5, parallel = 0.25 }")
+        raise UserError(toml, fault, "state all, as { cross = 0.5, parallel = 0.25 }")
     return {path: 1 / seconds for path, seconds in found.items() if seconds is not None}
 
 
@@ -125,9 +125,9 @@ def _changes(radiometry: RadiometryConfig, kinds: set[str]) -> bool:
     white = radiometry.white_level
     other_white = white is not None and any(abs(white / OWN_WHITE.get(kind, 1.0) - 1) > SAME_LEVEL for kind in kinds)
     encoded = radiometry.encoding == "srgb" or ("uint8" in kinds and radiometry.encoding is None)
-    told = bool(radiometry.black_level or radiometry.dark_frame or radiometry.flat_field or radiometry.white_balance)
+    stated = bool(radiometry.black_level or radiometry.dark_frame or radiometry.flat_field or radiometry.white_balance)
     factors = isinstance(radiometry, FoundRadiometry) and bool(radiometry.factors)
-    return other_white or encoded or told or factors or "raw" in kinds
+    return other_white or encoded or stated or factors or "raw" in kinds
 
 
 def write_linear(stage: StageRun, light_stage: LightStage, radiometry: RadiometryConfig) -> LinearFrames:

@@ -75,12 +75,12 @@ def _looked_at(stage: StageRun, light_stage: LightStage) -> LinearFrames:
                 if wrong:
                     bad[path] = wrong
                 bar.advance()
-    level = _told_level(stage) or search.level()
+    level = _stated_level(stage) or search.level()
     clipped = [path for path, top in tops.items() if level is not None and top >= level]
     return LinearFrames({}, level, _clipped_fraction(clipped, level, frames), len(clipped), tops, bad)
 
 
-def _told_level(stage: StageRun) -> float | None:
+def _stated_level(stage: StageRun) -> float | None:
     """The clip level that capture.toml tells of samples scaled to 0..1; a white level that changes them is not met here."""
     radiometry = stage.capture.config.radiometry
     if radiometry.white_level is None and radiometry.saturation is None:

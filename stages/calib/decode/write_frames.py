@@ -148,7 +148,7 @@ def _tell(stage: StageRun, records: dict[str, FrameRecord]) -> None:
             f"{path}: {furthest:.1f} px off the first picture of its stack"
             + (f", and pictures of {len(moved) - 1} more views" if len(moved) > 1 else "")
             + ": the camera or the object moved between the angles, which makes false polarisation at edges; "
-            "stack.align = true in capture.toml lays them on each other"
+            "stack.align = true in capture.toml registers them"
         )
     total = max(1, sum(r.pixels for r in records.values()))
     negative, impossible = (sum(getattr(r, k) for r in records.values()) for k in ("negative", "impossible"))

@@ -138,16 +138,16 @@ class Session:
         if cameras is not None:
             return parameters_of(cameras[first.view])
         focal = self.known_focal()
-        told = (
+        known = (
             [f for f in (focal_from_exif(self.stage.capture.view(p.view).paths[0]) for p in members) if f]
             if focal is None
             else []
         )
-        guess = focal or (float(np.median(told)) if told else DEFAULT_FOCAL * max(first.width, first.height))
+        guess = focal or (float(np.median(known)) if known else DEFAULT_FOCAL * max(first.width, first.height))
         return "SIMPLE_RADIAL", [guess, first.width / 2, first.height / 2, 0.0]
 
     def known_focal(self) -> float | None:
-        """A focal length that is kept as told."""
+        """A focal length that is known, and kept."""
         return self.stage.parameters.focal_px or self.stage.capture.config.poses.focal_px
 
     def match(self) -> None:

@@ -16,8 +16,8 @@ def write_given(stage: StageRun) -> None:
     cameras = capture.cameras or {}
     offset = write_cameras(stage, cameras)
     cameras = {view: less(camera, offset) for view, camera in cameras.items()}
-    told = capture.config.poses
-    idle = [key for key in ("focal_px", "scale_pair", "marker_length") if getattr(told, key) is not None]
+    settings = capture.config.poses
+    idle = [key for key in ("focal_px", "scale_pair", "marker_length") if getattr(settings, key) is not None]
     if idle:
         stage.warn(
             f"{capture.config.path}: poses.{idle[0]} has no effect, as the capture gives its cameras: remove it, "

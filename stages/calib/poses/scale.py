@@ -18,15 +18,15 @@ WORST_MARKER = 0.1
 Corners = dict[int, NDArray[np.float64]]
 
 
-def world_scale(told: PosesConfig, cameras: Mapping[str, Camera], pictures: Mapping[str, Path], where: Path) -> float:
+def world_scale(settings: PosesConfig, cameras: Mapping[str, Camera], pictures: Mapping[str, Path], where: Path) -> float:
     """Factor from COLMAP's units to those of capture.toml's [poses]; 1 where it tells none.
 
     `cameras` and 8-bit `pictures` by VIEW, `where` is named in errors. Raises UserError.
     """
-    if told.scale_pair is not None and told.scale_distance is not None:
-        return _by_baseline(told.scale_pair, told.scale_distance, cameras, where)
-    if told.marker_length is not None:
-        return _by_marker(told, cameras, pictures, where)
+    if settings.scale_pair is not None and settings.scale_distance is not None:
+        return _by_baseline(settings.scale_pair, settings.scale_distance, cameras, where)
+    if settings.marker_length is not None:
+        return _by_marker(settings, cameras, pictures, where)
     return 1.0
 
 
@@ -39,24 +39,24 @@ def _by_baseline(pair: Sequence[str], distance: float, cameras: Mapping[str, Cam
     return float(distance / np.linalg.norm(first - second))
 
 
-def _by_marker(told: PosesConfig, cameras: Mapping[str, Camera], pictures: Mapping[str, Path], where: Path) -> float:
-    assert told.marker_length is not None
+def _by_marker(settings: PosesConfig, cameras: Mapping[str, Camera], pictures: Mapping[str, Path], where: Path) -> float:
+    assert settings.marker_length is not None
     seen: dict[int, list[tuple[Camera, NDArray[np.float64]]]] = {}
     for view, camera in sorted(cameras.items()):
-        for number, corners in find_markers(pictures[view], told.marker_dictionary, where).items():
+        for number, corners in find_markers(pictures[view], settings.marker_dictionary, where).items():
             seen.setdefault(number, []).append((camera, corners))
     sides = [s for found in seen.values() if len(found) >= MARKER_VIEWS for s in marker_sides(found)]
     if not sides:
         have = f"only markers {sorted(seen)}, each in one view" if seen else "no marker"
         raise UserError(
             where,
-            f"poses.marker_length: {have} of {told.marker_dictionary} found in {len(cameras)} views",
+            f"poses.marker_length: {have} of {settings.marker_dictionary} found in {len(cameras)} views",
             "show a flat ArUco marker in two or more views, or name its poses.marker_dictionary",
         )
     length = float(np.median(sides))
     if np.percentile(np.abs(np.array(sides) / length - 1), 75) > WORST_MARKER:
         raise UserError(where, "poses.marker_length: the sides of the markers found differ", "are all of them of this length?")
-    return told.marker_length / length
+    return settings.marker_length / length
 
 
 def find_markers(picture: Path, dictionary: str, where: Path) -> Corners:

@@ -74,10 +74,10 @@ def _maps(run: StageRun, folder: Path) -> list[dict[str, str]]:
     add(pictures.scale(one("residual"), 0, 0.5, mask=there), "residual", "relative RMS, 0 to 0.5")
     flag = np.clip(one("residual", "flag").round().astype(int), 0, len(FLAG_COLOURS) - 1)
     colours = np.array(FLAG_COLOURS, np.uint8)[flag] * there[..., None].astype(np.uint8)
-    told = (
+    legend = (
         "yellow few lights, red saturated, blue no lobe, violet bad samples, orange facing away, teal peak outside the lights"
     )
-    add(colours, "flags", told)
+    add(colours, "flags", legend)
     return out
 
 

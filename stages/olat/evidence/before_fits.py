@@ -1,4 +1,4 @@
-"""What the first pixels read tell of the whole capture, before hours are spent on it: told, or refused."""
+"""What the first pixels read tell of the whole capture, before hours are spent on it: a warning, or an error."""
 
 from __future__ import annotations
 
@@ -72,13 +72,13 @@ def check_capture(stage: StageRun, pilot: list[Piece], rig: LightTable) -> None:
         stage.warn(f"{stage.capture.root / name}: {doubt}")
     if config.near_light:
         return  # directions differ from pixel to pixel
-    told = explain(samples, rig.directions)
-    if told is None:
+    explanation = explain(samples, rig.directions)
+    if explanation is None:
         return
-    stage.note("light_frame", told.as_json())
-    say_frame(stage, told, rig.directions, sound_passes=doubt is None)
-    if told.fits and told.there.total < WRONG and told.order.misfit > NOTED:
-        say_brightness(stage, told.order, samples, rig.directions[told.order.lights])
+    stage.note("light_frame", explanation.as_json())
+    say_frame(stage, explanation, rig.directions, sound_passes=doubt is None)
+    if explanation.fits and explanation.there.total < WRONG and explanation.order.misfit > NOTED:
+        say_brightness(stage, explanation.order, samples, rig.directions[explanation.order.lights])
 
 
 @dataclass(frozen=True)
@@ -141,15 +141,15 @@ class Seen:
         self.view, self.outward = view, out
 
     def look(self, w: NDArray[np.float64]) -> Look | None:
-        """Normals, highlights and outline under directions w [N, 3]; None where too few normals are told."""
+        """Normals, highlights and outline under directions w [N, 3]; None where too few normals are determined."""
         m, each = lambert(self.diffuse.mean(-1), w)
-        told = np.isfinite(each) & (np.linalg.norm(m, axis=1) > 0)
-        if told.sum() < FEWEST:
+        determined = np.isfinite(each) & (np.linalg.norm(m, axis=1) > 0)
+        if determined.sum() < FEWEST:
             return None
-        normal = m[told] / np.linalg.norm(m[told], axis=1, keepdims=True)
-        shine = self.shine[:, told]
+        normal = m[determined] / np.linalg.norm(m[determined], axis=1, keepdims=True)
+        shine = self.shine[:, determined]
         noise = np.sqrt(2 * np.mean(np.where(w @ normal.T < -0.25, shine, 0) ** 2, 0))
-        return Look(normal, self.view[told], peaks(shine, noise, w), self.outward[told])
+        return Look(normal, self.view[determined], peaks(shine, noise, w), self.outward[determined])
 
     @classmethod
     def of(cls, pilot: list[Piece], rig: LightTable, irradiance: float, factor: float) -> Seen | None:
@@ -172,21 +172,22 @@ class Seen:
         )
 
 
-def say_frame(stage: StageRun, told: Explanation, w: NDArray[np.float64], sound_passes: bool) -> None:
+def say_frame(stage: StageRun, explanation: Explanation, w: NDArray[np.float64], sound_passes: bool) -> None:
     """A line where frames and table do not belong together. Raises UserError where normals face away from the cameras."""
-    table, here = _table_name(stage), told.here
-    remedies = [f"they fit with {told.order.name}: number the frames as the table counts its lights"] if told.order.name else []
-    if told.turn is not None:
+    table, here = _table_name(stage), explanation.here
+    order = explanation.order.name
+    remedies = [f"they fit with {order}: number the frames as the table counts its lights"] if order else []
+    if explanation.turn is not None:
         remedies.append(
-            f"{'' if remedies else 'the table '}fits with its columns x, y, z as {spoken(told.turn)}: give directions from the "
-            "stage's centre to each light in the world of the cameras"
+            f"{'' if remedies else 'the table '}fits with its columns x, y, z as {spoken(explanation.turn)}: give directions "
+            "from the stage's centre to each light in the world of the cameras"
         )
     turned = "" if np.isnan(here.highlight) else f", highlights lie {np.degrees(here.highlight):.0f} degrees off the normals"
-    how = f"misfit {told.stands.misfit:.2f}, {100 * here.away:.0f} % of the normals face away from the camera{turned}"
+    how = f"misfit {explanation.stands.misfit:.2f}, {100 * here.away:.0f} % of the normals face away from the camera{turned}"
     unknown = "check its frame (the cameras' world) and its order (light k is frame k) against a frame whose light you know"
-    if here.away > MOST_AWAY and (told.fits if sound_passes else told.order.misfit < DOUBTFUL):
+    if here.away > MOST_AWAY and (explanation.fits if sound_passes else explanation.order.misfit < DOUBTFUL):
         raise UserError(table, f"the light table does not fit the frames ({how})", ", and ".join(remedies) or unknown)
-    wrong = not told.fits or here.total > FAR or here.highlight > TURNED_RAD + SPACING * spacing(w)
+    wrong = not explanation.fits or here.total > FAR or here.highlight > TURNED_RAD + SPACING * spacing(w)
     if remedies or (wrong and sound_passes):
         stage.warn(f"{table}: the light table does not fit the frames ({how}): {', and '.join(remedies) or unknown}")
 
@@ -216,6 +217,6 @@ def _floats(samples: NDArray) -> NDArray[np.float64]:
 
 def _table_name(stage: StageRun) -> str:
     """The light table as the capture names it."""
-    told = stage.capture.config.olat.lights
-    names = [told] if told else ["lights.csv", "LSX3_light_positions.txt"]
+    named = stage.capture.config.olat.lights
+    names = [named] if named else ["lights.csv", "LSX3_light_positions.txt"]
     return str(next((stage.capture.root / n for n in names if (stage.capture.root / n).is_file()), stage.capture.root))

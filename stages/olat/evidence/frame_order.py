@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 LIT = 0.3  # of a pixel's brightest sample: above it neither shadow nor inter-reflection
-LEAST_LIT = 5  # lights of a pixel that are told from three unknowns
+LEAST_LIT = 5  # lights of a pixel that determine its three unknowns
 ROUNDS = 4  # of reweighting
 TUNING = 2.5  # Geman-McClure scale in standard deviations of the residual
 REACH = 3  # frames that may be missing or too many at the front
@@ -36,20 +36,20 @@ def lambert(light: NDArray[np.float64], w: NDArray[np.float64]) -> tuple[NDArray
     have misfit NaN.
     """
     lit = light > LIT * np.maximum(light.max(0), 1e-30)
-    told = lit.sum(0) >= LEAST_LIT
+    determined = lit.sum(0) >= LEAST_LIT
     products = (w[:, :, None] * w[:, None, :]).reshape(len(w), 9)
     weight, level = lit.astype(float), np.sqrt(np.sum(lit * light**2, 0) / np.maximum(lit.sum(0), 1))
     m, miss = np.zeros((light.shape[1], 3)), np.full(light.shape[1], np.nan)
     for _ in range(ROUNDS):
         matrix = (weight.T @ products).reshape(-1, 3, 3)
         scale = np.trace(matrix, axis1=1, axis2=2) / 3
-        told &= np.linalg.det(matrix) > 1e-6 * scale**3
-        matrix[~told] = np.eye(3)
+        determined &= np.linalg.det(matrix) > 1e-6 * scale**3
+        matrix[~determined] = np.eye(3)
         m = np.linalg.solve(matrix, ((weight * light).T @ w)[..., None])[..., 0]
         residual = np.abs(light - w @ m.T)
         miss = 1.4826 * np.nanmedian(np.where(lit, residual, np.nan), 0)
         weight = lit / (1 + (residual / (TUNING * np.maximum(miss, 0.01 * level) + 1e-30)) ** 2) ** 2
-    return m, np.where(told, miss / np.maximum(level, 1e-30), np.nan)
+    return m, np.where(determined, miss / np.maximum(level, 1e-30), np.nan)
 
 
 def orders(count: int) -> dict[str, NDArray[np.intp]]:

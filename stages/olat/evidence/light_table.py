@@ -48,7 +48,7 @@ def table_faults(lights: LightTable, near: bool) -> tuple[str | None, list[str]]
         what = "in one plane with the stage's centre" if condition > 1e3 else "on one side, close together"
         amount = "" if condition > 1e3 else f": noise counts {condition:.0f} times across them"
         doubts.append(
-            f"the lights lie {what}{amount}; normals and widths are told poorly or not at all (flags 1 and 7): "
+            f"the lights lie {what}{amount}; normals and widths are determined poorly or not at all (flags 1 and 7): "
             "spread the lights, or check the table"
         )
     return None, doubts

@@ -1,7 +1,7 @@
 """Widths of the surface from widths of the pixel: a pixel sees normals that differ, and its lobe is wider by their spread.
 
 A lobe's width matrix (sigma squared) is twice the covariance of the slopes; the slopes of the footprint add theirs (Olano and
-Baker 2010, LEAN mapping, read backwards). The spread below a pixel is told from the squared differences D1, D2 between the
+Baker 2010, LEAN mapping, read backwards). The spread below a pixel is estimated from the squared differences D1, D2 between the
 normals of neighbours one and two pixels away. Pixels are box filters: of a wave of f cycles a pixel, 1 - s of the power lies
 below them, s 2(1 - cos 2 pi f) in D1 and s 2(1 - cos 4 pi f) in D2, s = sinc²(f). `NEAR D1 + FAR D2` is the first for smooth
 surfaces (f to 0: D1/12, a uniform spread) and for f = 1/4, and close to it in between: rough ones hide more below a pixel.
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from stages.olat.maps.tangents import EDGE, borne_out
 from stages.olat.pixel_fit.fit_options import ROUND
-from stages.olat.pixel_fit.result_layout import columns
+from stages.olat.pixel_fit.result_layout import map_slices
 from stages.olat.reading.scanline_bands import Band
 
 LEAST = 0.25  # of a pixel's squared width that the surface keeps: the spread is an estimate of its own
@@ -28,7 +28,7 @@ CONTEXT = 2  # rows above and below that a pixel's spread depends on
 
 def surface_widths(rows: NDArray[np.float64], spread: NDArray[np.float64]) -> None:
     """Take the spread of normals [P, 3, 3] (covariance, rad²) out of sigma, tangent, roughness and anisotropy, in place."""
-    at = columns()
+    at = map_slices()
     sigma, tangent, normal = (rows[:, at[name]] for name in ("sigma", "tangent", "specular_normal"))
     one_way = np.linalg.norm(tangent, axis=1) > 0.5
     both = np.trace(spread, axis1=1, axis2=2)  # mean variance of the two axes, times two
@@ -92,7 +92,7 @@ def with_neighbours(
     edges their neighbours: the result does not depend on the bands' size.
     """
     waiting: list[tuple[Band, NDArray[np.float64]]] = []
-    known, at = _Rows(width), columns()
+    known, at = _Rows(width), map_slices()
     for band, rows in bands:
         known.add(band, np.column_stack([rows[:, at["normal"]], rows[:, at["tangent"]].any(1)]))
         waiting.append((band, rows))
@@ -133,7 +133,7 @@ def _finish(
     pixels = band.pixels - top * found.shape[1]
     if directed.any():
         kept = borne_out(normals, directed).reshape(-1)[pixels]
-        rows[~kept, columns()["tangent"]] = 0.0
+        rows[~kept, map_slices()["tangent"]] = 0.0
     if surface:
         surface_widths(rows, spreads(normals).reshape(-1, 3, 3)[pixels])
     return band, rows

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.formats.images import write_fault
-from stages.olat.pixel_fit.result_layout import MAPS, columns
+from stages.olat.pixel_fit.result_layout import MAPS, map_slices
 from stages.olat.reading.scanline_bands import Band
 
 COARSE = ("occlusion_d", "occlusion_s", "visibility_d", "visibility_s", "interreflection_d", "interreflection_s")
@@ -81,7 +81,7 @@ class MapWriter:
             if not self.files[name].write_scanlines(top, top + len(strip), 0, part):
                 raise write_fault(self.folder / f"{name}.exr", self.files[name].geterror().strip())
 
-        list(self.pool.map(write, *zip(*columns().items())))
+        list(self.pool.map(write, *zip(*map_slices().items())))
         self.row = top + len(strip)
         first = -top % self.step
         picked = strip[first :: self.step, :: self.step]

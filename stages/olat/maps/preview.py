@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.formats.images import srgb_encode, write_png
-from stages.olat.pixel_fit.result_layout import columns
+from stages.olat.pixel_fit.result_layout import map_slices
 
 GRID = (
     ("diffuse_albedo", "specular_albedo", "diffuse_normal", "specular_normal", "normal", "tangent"),
@@ -22,7 +22,7 @@ FLAG_COLOURS = np.array(
 
 def write_preview(path: Path, maps: NDArray[np.float32]) -> None:
     """Write the maps [H, W, WIDTH] (subsampled) as a grid, cropped to the object, numbers scaled to the 98th percentile."""
-    inside = np.linalg.norm(maps[..., columns()["normal"]], axis=-1) > 0
+    inside = np.linalg.norm(maps[..., map_slices()["normal"]], axis=-1) > 0
     if inside.any():
         rows, cols = np.flatnonzero(inside.any(1)), np.flatnonzero(inside.any(0))
         crop = slice(rows[0], rows[-1] + 1), slice(cols[0], cols[-1] + 1)
@@ -34,7 +34,7 @@ def write_preview(path: Path, maps: NDArray[np.float32]) -> None:
 
 
 def _tile(maps: NDArray[np.float32], inside: NDArray[np.bool_], name: str) -> NDArray[np.float32]:
-    place = columns()
+    place = map_slices()
     values = maps[..., place["residual"]][..., 1:] if name == "flag" else maps[..., place[name]]
     if name == "residual":
         values = values[..., :1]

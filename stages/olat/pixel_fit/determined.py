@@ -13,14 +13,14 @@ from pipeline.kernels.numerics import FAST, ZERO, cholesky_solve
 from pipeline.kernels.scratch import matrix, vector
 
 SURE = 0.15
-"""Standard deviation of the log of a width or of the albedo up to which a lobe counts as told: half of a value (0.4 in the log)
-is then 2.7 of them away."""
+"""Standard deviation of the log of a width or of the albedo up to which a lobe counts as determined: half of a value (0.4 in
+the log) is then 2.7 of them away."""
 NEAREST = 1.2
 """Widths between the lobe's peak and the nearest half vector that a light shows: a Gaussian has fallen to 0.24 there, and what
 is said of the peak is more extrapolated than seen."""
 GRAIN = 1e-3
 """Of the brightest sample: the standard deviation that half floats and the lobe's own form leave at best."""
-UNTOLD = 1e6  # standard deviation of what the samples do not tell
+UNDETERMINED = 1e6  # standard deviation of what the samples do not determine
 
 
 @kernel(fastmath=FAST, error_model="numpy")
@@ -70,7 +70,7 @@ def _noise(g, rho, light, floor, weight):
 
 @kernel(error_model="numpy")
 def deviation(equations, n, shape, rho, light, floor, weight, g, tied, fixed, top):
-    """Largest standard deviation of the log widths and the log albedo, `UNTOLD` where the samples leave one of them free.
+    """Largest standard deviation of the log widths and the log albedo, `UNDETERMINED` where the samples leave one free.
 
     equations [6, 6]: normal equations of n parameters: d1, d2, A, rho of a round lobe (4), d1, d2, A, B, C, rho (6); tied: what
     a tie to n_d added to the first two, which is taken out: only the samples tell; fixed: the normal was given; top: brightest
@@ -88,7 +88,7 @@ def deviation(equations, n, shape, rho, light, floor, weight, g, tied, fixed, to
             equations[k, k] -= tied
     for k in range(n):
         if not equations[k, k] > 0:
-            return UNTOLD
+            return UNDETERMINED
         scale[k] = math.sqrt(equations[k, k])
     worst = 0.0
     for which in range(3 if n == 6 else 2):
@@ -105,12 +105,12 @@ def deviation(equations, n, shape, rho, light, floor, weight, g, tied, fixed, to
             for j in range(n):
                 system[k, j] = equations[k, j] / (scale[k] * scale[j])
         if not cholesky_solve(system, right, n, out):
-            return UNTOLD
+            return UNDETERMINED
         total = 0.0
         for k in range(n):
             total += right[k] * out[k]
         worst = max(worst, total)
-    return min(math.sqrt(worst * variance), UNTOLD)
+    return min(math.sqrt(worst * variance), UNDETERMINED)
 
 
 @kernel(error_model="numpy")

@@ -14,7 +14,7 @@ from pipeline.kernels.scratch import folded
 from stages.olat.pixel_fit.fit_options import CHUNK, WORKSPACE_PER_LIGHT, FitOptions
 from stages.olat.pixel_fit.one_pixel import fit_pixel
 from stages.olat.pixel_fit.result_layout import WIDTH
-from stages.olat.pixel_fit.workspace import make_room
+from stages.olat.pixel_fit.workspace import make_workspace
 
 COUNT = len(FitOptions._fields)
 
@@ -66,7 +66,7 @@ def fit_pixels(
     samples = (carray(cross, (count, pixels, 3)), carray(parallel, (count, pixels, 3)))
     values, toward, surface = carray(table, 65536), carray(view, (pixels, 3)), carray(points, (pixels, 3))
     w, energy, areas = carray(directions, (3, count)), carray(intensity, count), carray(area, count)
-    told = _settings(carray(settings, COUNT))
+    chosen = _settings(carray(settings, COUNT))
     rows, ends = carray(out, (pixels, WIDTH)), carray(norms, (pixels, 2))
     workspace = carray(workspace, WORKSPACE_PER_LIGHT * count)
     half = 3 * CHUNK * count
@@ -74,7 +74,7 @@ def fit_pixels(
     rest = workspace[2 * half :]
     if near:
         w, energy = folded(rest, 3, count), rest[3 * count : 4 * count]
-    work = make_room(count, rest[4 * count :], carray(front, count))
+    work = make_workspace(count, rest[4 * count :], carray(front, count))
     for start in range(first, last, CHUNK):
         width = min(CHUNK, last - start)
         for k in range(count):
@@ -87,7 +87,7 @@ def fit_pixels(
             if near:
                 _near(surface[at], carray(positions, (count, 3)), carray(intensity, count), w, energy)
             ends[at, 0], ends[at, 1] = fit_pixel(
-                x[3 * p : 3 * p + 3], y[3 * p : 3 * p + 3], w, toward[at], areas, energy, told, work, rows[at]
+                x[3 * p : 3 * p + 3], y[3 * p : 3 * p + 3], w, toward[at], areas, energy, chosen, work, rows[at]
             )  # fmt: skip
 
 

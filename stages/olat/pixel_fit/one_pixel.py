@@ -53,7 +53,7 @@ FIXED = -1.0  # tie of a normal that is not to move
 UNSETTLED = 1e-3  # gradient norm, data of unit norm, of a fit that ended on the way; float32 and few lights leave up to 3e-4
 UNKNOWN = 1e6  # variance (rad²) of a normal that was not measured
 ONE_WAY = 0.75  # order of a pixel's tangents below which it has no one tangent
-WIDEST = 2.2  # of a lobe: the width of one that fills the hemisphere (slopes beyond 65 degrees) is not told by the samples
+WIDEST = 2.2  # of a lobe: the width of one that fills the hemisphere (slopes beyond 65 degrees) is not fixed by the samples
 LIT_LIGHTS = 4  # three determine a normal and its albedo exactly; only a fourth can contradict them
 EFFECTIVE_LIGHTS = 3.0  # a lobe seen by fewer has no width
 FAINTEST = 0.01  # of the brightest sample, to count as light of the lobe: below it rounding and inter-reflection would
@@ -281,8 +281,8 @@ def _specular(n, w, o, area, settings, n_d, solved, top_d, workspace, out):
     if large > WIDEST or not rho[0] > 0:
         flag = NO_LOBE
     elif fits and flag == GOOD:
-        flag = _told(settings, frame, shape, rho[0], order, norm, equations, held, o, half, incident, light, floor, use, weight,
-                     g, top, tie < 0)  # fmt: skip
+        flag = _determined(settings, frame, shape, rho[0], order, norm, equations, held, o, half, incident, light, floor, use,
+                           weight, g, top, tie < 0)  # fmt: skip
     if fits and flag != GOOD and flag != SATURATED:  # no brighter at its peak than the brightest sample extrapolated so far
         facing = max(frame[2, 0] * o[0] + frame[2, 1] * o[1] + frame[2, 2] * o[2], VIEW_FLOOR)
         width = min(large * small, WIDEST * WIDEST)
@@ -305,7 +305,7 @@ def _specular(n, w, o, area, settings, n_d, solved, top_d, workspace, out):
 
 
 @kernel(error_model="numpy")
-def _told(
+def _determined(
     settings, frame, shape, rho, order, norm, equations, held, o, half, incident, light, floor, use, weight, g, top, fixed
 ):
     """GOOD where the lights tell the lobe that was fitted to them; OUTSIDE where its peak lies beyond them; else TOO_FEW."""

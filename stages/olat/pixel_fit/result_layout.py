@@ -26,7 +26,7 @@ MAPS = {
 """Maps of one camera and their channels, in the order of a pixel's row of results."""
 
 
-def columns() -> dict[str, slice]:
+def map_slices() -> dict[str, slice]:
     """Where each map lies in a pixel's row."""
     out, at = {}, 0
     for name, channels in MAPS.items():
@@ -35,7 +35,7 @@ def columns() -> dict[str, slice]:
     return out
 
 
-_AT = {name: place.start for name, place in columns().items()}
+_AT = {name: place.start for name, place in map_slices().items()}
 ALBEDO_D, ALBEDO_S, NORMAL_D, NORMAL_S = (
     _AT[n] for n in ("diffuse_albedo", "specular_albedo", "diffuse_normal", "specular_normal")
 )

@@ -37,7 +37,7 @@ class Workspace(NamedTuple):
 
 
 @kernel(error_model="numpy")
-def make_room(n, buffer, front):
+def make_workspace(n, buffer, front):
     """Workspace for `n` lights in `buffer` [ROWS n], in its precision, and `front` int64 [n]."""
     rgb, one = folded(buffer, 3, n), folded(buffer[3 * n :], 14, n)
     incident, half = folded(buffer[17 * n :], 3, n), folded(buffer[20 * n :], 3, n)

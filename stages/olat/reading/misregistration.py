@@ -14,7 +14,7 @@ from stages.olat.reading.scanline_bands import bands_of
 ALIGN_LIGHTS = 8  # a pass: enough edges to see a shift before the fits
 WARN_PX = 0.5  # a shift that mixes neighbouring pixels
 EVERY = 8  # lights: enough for a mean image
-LEAST_LIKENESS = 0.5  # correlation of the passes' edges below which nothing can be told
+LEAST_LIKENESS = 0.5  # correlation of the passes' edges below which nothing can be estimated
 CLEARLY = 0.6  # of what no shift leaves unexplained: a shift must leave less
 SIDE = 960  # pixels of the longer side at which the shift is measured
 
@@ -37,7 +37,7 @@ class Misregistration:
             self.means[k, rows[on] // self.step, columns[on] // self.step] = _mean([frame[on] for frame in data[:: self.every]])
 
     def shift(self) -> tuple[float, float]:
-        """(right, down) shift in pixels of the parallel pass against the crossed one; (0, 0) where nothing can be told."""
+        """(right, down) shift in pixels of the parallel pass against the crossed one; (0, 0) where nothing can be estimated."""
         inside = self.means[0] > 0
         if inside.sum() < 64:
             return 0.0, 0.0

@@ -14,7 +14,7 @@ def unpack(rows, width, channels, parts, chunk, first, red, green, blue, size, d
 
     data uint8: inflated chunks of `chunk` rows, each with its channels' samples row by row, a sample being `parts` words of 16
     bits; stored uint8: 1 for a chunk that was not compressed; starts int64 [rows + 1], columns int32 [P]: the pixels of each of
-    the `rows` wanted; red, green, blue: which channels; words uint16: room for a chunk.
+    the `rows` wanted; red, green, blue: which channels; words uint16: workspace for a chunk.
     """
     length = width * parts  # words of a channel in a row
     line = length * channels

@@ -43,7 +43,7 @@ def unpack_kernel() -> native.Kernel:
 
 
 class ZipFrames:
-    """A reader of one thread: it remembers the last frame's layout, and holds the kernel's room."""
+    """A reader of one thread: it remembers the last frame's layout, and holds the kernel's workspace."""
 
     def __init__(self) -> None:
         """Nothing is known of the frames yet."""

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from pipeline.capture.model import LightTable
 from stages.olat.pixel_fit.fit_options import FitOptions
 from stages.olat.pixel_fit.many_pixels import half_table
-from stages.olat.pixel_fit.result_layout import columns
+from stages.olat.pixel_fit.result_layout import map_slices
 from stages.olat.zoo.solvers import applies, scaled, solve
 
 FALLBACK = "lbfgs-backtracking"  # where Gauss-Newton does not apply (PRF's own choice for normals)
@@ -23,7 +23,7 @@ def solve_band(
     cross, parallel [N, P, 3] (half-float bits or floats), view [P, 3]. Visibility, occlusion, inter-reflection and flags stay
     the closed chain's. Pixels that it flags keep its values: their problems have no solution to find.
     """
-    at = columns()
+    at = map_slices()
     good = rows[:, at["residual"]][:, 1] == 0
     if not good.any():
         return

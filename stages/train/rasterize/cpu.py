@@ -16,10 +16,10 @@ from pipeline.kernels.simd import LANES, TILE
 from pipeline.kernels.threads import row_buffers, run_on_all_cores
 
 from . import constants as k
-from .kernel_backward import backward_room, slot_width, tiles_backward
+from .kernel_backward import backward_size, slot_width, tiles_backward
 from .kernel_bin import bin_splats, depth_order
 from .kernel_block import BLOCKS, CHANNELS, GROUP, LAYERS, RECORD_ROWS
-from .kernel_forward import blend_tiles, forward_room, largest_weights
+from .kernel_forward import blend_tiles, forward_size, largest_weights
 from .kernel_project import GEO, project, project_backward
 from .raster import Raster
 
@@ -116,7 +116,7 @@ class _Rasterize(torch.autograd.Function):
         run_on_all_cores(
             blend_tiles, tile_start, pair_splat, pair_slot, geo, attributes, view.mask, view.screen, view.layer,
             blended, normal, scalars, pair_weight, tile_used, tile_state, records,
-            row_buffers(forward_room(attributes.shape[1])),
+            row_buffers(forward_size(attributes.shape[1])),
         )  # fmt: skip
         largest_weights(slot_start, pair_weight, view.visible)
         ctx.view, ctx.pairs, ctx.tiles, ctx.splats = view, pairs, (tile_used, tile_state, records), (geo, attributes)
@@ -147,7 +147,7 @@ class _Rasterize(torch.autograd.Function):
         run_on_all_cores(
             tiles_backward, tile_start, tile_used, tile_state, records, pair_splat, pair_slot, geo, attributes, view.screen,
             view.layer, bool(d_scalars[3].any()), used, *ctx.images, d_features, d_normal, d_scalars, slots,
-            row_buffers(backward_room(attributes.shape[1])),
+            row_buffers(backward_size(attributes.shape[1])),
         )  # fmt: skip
         gradients = [np.zeros_like(a) for a in arrays]
         view.screen_gradient[:] = 0

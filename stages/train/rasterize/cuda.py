@@ -61,13 +61,13 @@ def gsplat_functions() -> SimpleNamespace:
 def padded(colours: Tensor) -> Tensor:
     """Zeros before the last channel up to a count that gsplat compiles for. [1, N, A] -> [1, N, A']
 
-    gsplat pads too, but with uninitialised memory, whose NaN times a zero cotangent spoils the gradient of alpha.
+    gsplat pads too, but with uninitialised memory, whose NaN times a zero cotangent invalidates the gradient of alpha.
     """
     count = colours.shape[-1]
-    room = next((size for size in CHANNELS if size >= count), None)
-    if room is None:
+    channels = next((size for size in CHANNELS if size >= count), None)
+    if channels is None:
         raise ValueError(f"gsplat blends at most {CHANNELS[-1]} channels, two of them for depth; got {count - 2}")
-    zeros = colours.new_zeros(*colours.shape[:-1], room - count)
+    zeros = colours.new_zeros(*colours.shape[:-1], channels - count)
     return torch.cat((colours[..., :-1], zeros, colours[..., -1:]), -1)
 
 

@@ -75,7 +75,7 @@ EXTRA = LAST + LAYER_ROWS
 FINAL_ALPHA = MEDIAN
 
 
-def backward_room(attributes: int) -> int:
+def backward_size(attributes: int) -> int:
     """Floats of workspace `tiles_backward` needs per thread."""
     return BLOCKS * BLOCKS * (CHANNELS + attributes * LANES + EXTRA + LANES + 2)
 
@@ -108,7 +108,7 @@ def pair_backward(
     """Gradients of the splat at `place` of a tile's list, to slots[slot : slot + G_GEO + A], from the first `channels`
     attributes.
 
-    weights [BLOCKS^2 LANES], places [BLOCKS^2]: room for the splat's weights and the blocks they belong to.
+    weights [BLOCKS^2 LANES], places [BLOCKS^2]: workspace for the splat's weights and the blocks they belong to.
     """
     count = 0
     here = _f(place)

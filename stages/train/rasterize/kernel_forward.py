@@ -30,7 +30,7 @@ from .kernel_project import Z
 _f = np.float32
 
 
-def forward_room(attributes: int) -> int:
+def forward_size(attributes: int) -> int:
     """Floats of workspace `blend_tiles` needs per thread."""
     return BLOCKS * BLOCKS * (CHANNELS + attributes * LANES + 1)
 

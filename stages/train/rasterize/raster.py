@@ -82,8 +82,8 @@ def rasterize(
         raise ValueError(f"screen_filter must be 0, 1, 2, ..., got {screen_filter}")
     if backend not in BACKENDS:
         raise ValueError(f"unknown rasteriser backend {backend!r}; there are {', '.join(BACKENDS)}")
-    room = import_module(f".{backend}", __package__)
-    run: Callable[..., Raster] = getattr(room, f"rasterize_{backend}")
+    module = import_module(f".{backend}", __package__)
+    run: Callable[..., Raster] = getattr(module, f"rasterize_{backend}")
     arguments = (means, quats, scales, opacities, features, world_to_camera, intrinsics, int(width), int(height))
     return run(*arguments, near=near, pixel_mask=pixel_mask, screen_filter=screen_filter, layer=layer)
 

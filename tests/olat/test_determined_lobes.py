@@ -5,12 +5,12 @@ import pytest
 
 from pipeline.capture.model import LightTable
 from pipeline.rig.lobe_names import LOBES
-from stages.olat.pixel_fit.result_layout import AWAY, FLAG, GOOD, OUTSIDE, TOO_FEW, columns
+from stages.olat.pixel_fit.result_layout import AWAY, FLAG, GOOD, OUTSIDE, TOO_FEW, map_slices
 from synth.olat_pixels import angle_deg, make, rig_of, unit
 
 pytestmark = pytest.mark.slow  # the kernels' first compilation takes most of a minute
 
-AT = columns()
+AT = map_slices()
 COUNT = 400
 
 
@@ -67,11 +67,11 @@ def test_what_is_called_good_is_right_and_no_albedo_runs_away(fitted, name):
     wrong |= (np.abs(rows[:, AT["sigma"]] / p.sigma - 1) > 0.5).any(1) | (np.abs(albedo / p.specular - 1) > 0.5)
     assert (wrong & good).mean() < 0.01
     assert albedo[good].max(initial=0.0) < 1.0  # at most 0.6 were put in
-    assert albedo.max() < 12.0  # bounds where it is not told; 2e28 without them
+    assert albedo.max() < 12.0  # bounds where it is not determined; 2e28 without them
 
 
 @pytest.mark.parametrize("sigma, noise", [((0.4, 0.4), 0.0), ((0.2, 0.2), 0.03), ((0.1, 0.1), 0.01), ((0.5, 0.05), 0.005)])
-def test_lobes_that_are_told_stay_good(fitted, sigma, noise):
+def test_lobes_that_are_determined_stay_good(fitted, sigma, noise):
     _, rows = fitted(sigma=sigma, noise=noise)
     assert np.mean(rows[:, FLAG] == GOOD) > 0.98
 
