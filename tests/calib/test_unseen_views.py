@@ -36,7 +36,7 @@ def test_empty_and_edge_on_masks_leave_their_views_out(run_stages, tmp_path):
     table = json.loads((runs["masks"].output / "masks.json").read_text())["views"]
     assert [v for v in table if "left_out" in table[v]] == ["3", "5"]
     assert not read_mask(runs["masks"].output / "5.png").any()
-    from stages.train.views.data import load_sources
+    from stages.train.views.source_views import load_sources
 
     outputs = [runs[n].output for n in ("decode", "poses", "masks")]
     splits = {s.name: s.split for s in load_sources(*outputs, "auto")[0]}
