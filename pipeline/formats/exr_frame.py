@@ -108,7 +108,7 @@ def colour_triples(names: Sequence[str]) -> list[list[int]]:
     return [[at[f"{layer}{c}"] for c in "rgb"] for layer in layers if all(f"{layer}{c}" in at for c in "rgb")]
 
 
-PRIMARIES = "its colours have primaries of their own (chromaticities): converted to Rec. 709"
+PRIMARIES = "its colours have primaries of their own: converted to Rec. 709; check the header's chromaticities"
 
 
 def primaries_remark(frame: ExrFrame | None) -> dict[str, int]:

@@ -91,8 +91,8 @@ def doubts(views: Mapping[str, Explained]) -> list[str]:
     if polarisation is not None and polarisation > UNEXPLAINED:
         lines.append(
             f"the model explains the polarisation worse than none at all would ({100 * polarisation:.0f} % of the polarised "
-            f"light is left over, most in {turned}, {100 * share:.0f} %): is the Stokes frame mirrored or turned ([stokes] "
-            "flip_s2, rotate_deg), or a polariser's angle wrong?"
+            f"light is left over, most in {turned}, {100 * share:.0f} %): check whether the Stokes frame is mirrored or turned "
+            "([stokes] flip_s2, rotate_deg), or a polariser's angle wrong"
         )
     return lines
 

@@ -80,7 +80,9 @@ def flag_disagreement(stage: StageRun, masks: dict[str, NDArray[np.uint8]], view
             f"{stage.capture.root}: masks that disagree with the visual hull of the others: {some(flagged)}; look at them"
         )
     elif flagged and all(views[name]["method"] in GIVEN for name in flagged):
-        stage.warn(f"{stage.capture.root}: most masks disagree with each other: are cameras and masks of the same views?")
+        stage.warn(
+            f"{stage.capture.root}: most masks disagree with each other: check that cameras and masks are of the same views"
+        )
 
 
 def refuse_two_worlds(stage: StageRun, masks: dict[str, NDArray[np.uint8]]) -> None:
@@ -109,7 +111,7 @@ def say_if_one_sided(stage: StageRun) -> None:
     if fault is not None:
         stage.warn(
             f"{stage.capture.root}: {fault}: outlines bound no depth and the far side is not seen, so the shape is a guess "
-            "there; take views all around the object"
+            "there; check that no views of that side are missing"
         )
 
 

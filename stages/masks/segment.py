@@ -53,6 +53,7 @@ def _one_by_one(stage: StageRun, views: list[str]) -> dict[str, NDArray[np.bool_
     from stages.masks.grabcut import grabcut_centre
 
     stage.warn(
-        f"{stage.capture.root}: too few views with cameras that look at one thing; masks are guessed from each view alone"
+        f"{stage.capture.root}: too few views with cameras that look at one thing; masks are guessed from each view alone: "
+        "check them, or give masks in masks/"
     )
     return {view: grabcut_centre(frame_s0(stage, view)) for view in views}

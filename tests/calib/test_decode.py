@@ -91,7 +91,7 @@ def test_one_warning_for_a_fault_of_many_files(run_stages, tmp_path):
         image[0, 0, 0, 0] = np.nan
     capture_of(tmp_path / "c", images, "stokes")
     run = run_stages(tmp_path / "c", tmp_path / "d", "decode")["decode"]
-    assert len(run.warnings) == 1 and "000.exr and 2 more" in run.warnings[0] and "(3 pixels)" in run.warnings[0]
+    assert len(run.warnings) == 1 and "000.exr and 2 more" in run.warnings[0] and "3 pixels not finite" in run.warnings[0]
 
 
 def test_stack_reports_design_and_refuses_angles_too_close(run_stages, tmp_path):

@@ -27,7 +27,10 @@ from pipeline.errors import UserError
 
 LOOKED_AT = 100_000
 """Pixels whose samples are kept to tell noise and movement from."""
-MISNAMED = "no Stokes vector explains all angles: are they those of the names (swapped files, a filter not turned, its zero)?"
+MISNAMED = (
+    "no Stokes vector explains all angles: check that they are those of the names (swapped files, a filter "
+    "not turned, its zero)"
+)
 
 MIXED = "some angles are 8-bit files, taken as sRGB, and others linear: export all alike"
 
@@ -69,7 +72,7 @@ def read_stack(group: Group, config: CaptureConfig, polariser: PolariserConfig |
         elif moved(rows, design):
             view.moved = largest_shift(group, config)
     if holes:
-        view.faults["not finite: left out of the fit"] = holes
+        view.faults["not finite: left out of the fit; check the export"] = holes
     if len({angle.image.encoding for angle in angles}) > 1:
         view.faults[MIXED] = 0
     return finished(view, group.paths[0], angles[0].image, whole=True)

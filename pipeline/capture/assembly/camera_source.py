@@ -74,7 +74,7 @@ def _colmap(near: list[Path], root: Path, folder: Path) -> CameraTable | None:
         sizes = ", ".join(f"{m.relative_to(root).as_posix()} with {registered_images(m)}" for m in rest)
         warnings.append(
             f"{place}: this model of {count(names, 'image')} is used and {sizes} left out: "
-            "each has a world of its own; for the rest, find all cameras in one model"
+            "each has a world of its own; check that it is the right one, or find all cameras in one model"
         )
     cameras = list(model.cameras.values())
     return CameraTable(

@@ -18,7 +18,10 @@ from pipeline.capture.pixels.stokes_files import finished, is_verbatim, mended
 from pipeline.capture.pixels.stokes_frame import apply_stokes_config
 from pipeline.errors import UserError
 
-NO_CARRIERS = "mosaic.order has no crossed polarisers on the diagonals: each angle is interpolated on its own, less exactly"
+NO_CARRIERS = (
+    "mosaic.order has no crossed polarisers on the diagonals: each angle is interpolated on its own, less exactly; check "
+    "that it is the sensor's"
+)
 
 
 def colour_loader(group: Group, config: CaptureConfig) -> Callable[[], DecodedView]:

@@ -79,7 +79,8 @@ def read(path: Path) -> CameraTable:
         lens = lenses[key]
         return Camera(*lens.size, *lens.focal, *lens.centre, pose, lens.distortion, lens=lens.model)
 
-    warning = f"{path}: {count(unplaced, 'photograph')} not aligned by Metashape ({some(unplaced)}); left out"
+    unaligned = f"{count(unplaced, 'photograph')} not aligned by Metashape ({some(unplaced)})"
+    warning = f"{path}: {unaligned}; left out: check their alignment there"
     return CameraTable(path, "Metashape", tuple(names), len(names), camera, (path,), warnings=(warning,) if unplaced else ())
 
 

@@ -67,9 +67,11 @@ def cameras_of_views(table: CameraTable, views: Sequence[ViewSource], folder: Pa
     missing = [v.view for v in views if v.view not in cameras]
     warnings = list(table.warnings)
     if missing:
-        warnings.append(f"{table.path}: no camera for {count(missing, 'view')} ({some(missing)}); left out")
+        fault = f"no camera for {count(missing, 'view')} ({some(missing)})"
+        warnings.append(f"{table.path}: {fault}; left out: check the names in both")
     if table.length > len(cameras):
-        warnings.append(f"{table.path}: no image for {table.length - len(cameras)} of its cameras; left out")
+        fault = f"no image for {table.length - len(cameras)} of its cameras"
+        warnings.append(f"{table.path}: {fault}; left out: check the names in both")
     return cameras, warnings
 
 

@@ -99,7 +99,7 @@ def read_as(root: Path, config: CaptureConfig, layout: str, kind: str) -> Captur
     warnings = [*found.warnings, *sources.warnings, *capture.warnings]
     if sources.unnamed and table is not None:
         names = f"{count(sources.unnamed, 'view')} ({some(p.name for p in sources.unnamed)})"
-        warnings.append(f"{table.path}: no camera for {names}; left out")
+        warnings.append(f"{table.path}: no camera for {names}; left out: check the names in both")
     return replace(capture, warnings=tuple(warnings))
 
 

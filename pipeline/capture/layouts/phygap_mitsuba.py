@@ -44,10 +44,11 @@ def read(root: Path, config: CaptureConfig) -> Capture:
             )
         stray = [p.name for p, n in zip(images, numbers) if n >= len(extrinsics)]
         if stray:
-            warnings.append(f"{folder}: no camera for {some(stray)}; left out")
+            warnings.append(f"{folder}: no camera for {some(stray)}; left out: check its number against {PARAMETERS}")
         lonely = [f"{n:03d}" for n in range(len(extrinsics)) if n not in numbers]
         if lonely:
-            warnings.append(f"{root / PARAMETERS}: no image for {count(lonely, 'camera')} ({some(lonely)}); left out")
+            missing = f"no image for {count(lonely, 'camera')} ({some(lonely)})"
+            warnings.append(f"{root / PARAMETERS}: {missing}; left out: check the numbers of the images")
         kept = [(p, n) for p, n in zip(images, numbers) if n < len(extrinsics)]
         if not kept:
             raise UserError(root / PARAMETERS, "no image has a camera", "number the images from 000")

@@ -33,6 +33,7 @@ from pipeline.formats.images import channel_names, image_size
 from pipeline.geometry.cameras import Camera, camera_from_frame
 
 DEFAULT_CAMERA = "camera"
+CHECK = "check the file_path of its frames"
 MISPLACED = "put the images where file_path says"
 
 
@@ -84,9 +85,9 @@ def read(root: Path, config: CaptureConfig) -> Capture:
         raise UserError(where, f"none of its {len(frames)} images is there (first: {frames[0].entry['file_path']})", MISPLACED)
     warnings += sources.warnings
     if missing:
-        warnings.append(f"{where}: no image for {count(missing, 'camera')} ({some(missing)}); left out")
+        warnings.append(f"{where}: no image for {count(missing, 'camera')} ({some(missing)}); left out: {CHECK}")
     if spare:
-        warnings.append(f"{where}: no camera for {count(spare, 'image')} ({some(spare)}); left out")
+        warnings.append(f"{where}: no camera for {count(spare, 'image')} ({some(spare)}); left out: {CHECK}")
     if not masks:
         masks, more = find_masks(root, {v.view: v.paths[0] for v in views}, folder)
         warnings += more

@@ -34,7 +34,7 @@ def order_fault(samples: NDArray[np.float32], order: Sequence[float]) -> str | N
     if best == stated or imbalance[stated] < SURE * imbalance[best]:
         return None
     block = " ".join(f"{a:g}" for a in order[:2]) + " / " + " ".join(f"{a:g}" for a in order[2:])
-    return f"crossed polarisers lie {best} here, not {stated} as in {block}: is mosaic.order that of this sensor?"
+    return f"crossed polarisers lie {best} here, not {stated} as in {block}: check that mosaic.order is that of this sensor"
 
 
 def pair_imbalance(samples: NDArray[np.float32]) -> dict[str, float] | None:

@@ -73,7 +73,7 @@ def is_verbatim(view: DecodedView, image: LinearImage, path: Path, names: tuple[
     )
 
 
-FILLED = "not finite: filled from the nearest pixel and marked as saturated"
+FILLED = "not finite: filled from the nearest pixel and marked as saturated; check the export"
 
 
 def mended(pixels: NDArray[np.float32], saturated: NDArray[np.bool_] | None, path: Path) -> tuple[Any, dict[str, int]]:
@@ -96,8 +96,10 @@ def finished(view: DecodedView, path: Path, image: LinearImage | None = None, wh
     if image is not None:
         view.faults |= primaries_remark(image.frame)
     if image is not None and image.orientation != 1:
-        view.faults[f"EXIF rotation {image.orientation} is not applied: frames stay as the sensor saw them"] = 0
+        turned = f"EXIF rotation {image.orientation} is not applied: frames stay as the sensor saw them"
+        view.faults[f"{turned}; check that cameras and masks are of the unrotated pictures"] = 0
     if image is not None and image.bits == 8:
         how = "sRGB" if image.encoding == "srgb" else "linear"
-        view.faults[f"8 bits a channel, taken as {how}: polarisation wants linear 16-bit or float files"] = 0
+        eight = f"8 bits a channel, taken as {how}: polarisation wants linear 16-bit or float files"
+        view.faults[f"{eight}; check radiometry.encoding"] = 0
     return view

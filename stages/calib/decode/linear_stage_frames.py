@@ -32,7 +32,7 @@ OWN_WHITE = {"uint16": 65535.0, "uint8": 255.0}
 FLOATS = frozenset({"half", "float", "double"})
 SAME_LEVEL = 0.01
 """A white level nearer than this to the file's own is no reason to write every frame again."""
-EIGHT_BITS = "8 bits a channel, taken as {}: the fits want linear 16-bit or float files"
+EIGHT_BITS = "8 bits a channel, taken as {}: the fits want linear 16-bit or float files; check radiometry.encoding"
 
 
 @dataclass(frozen=True)

@@ -36,12 +36,14 @@ def index_light_stage(stage: StageRun) -> None:
     tops, bad = frames.tops, frames.bad
     if bad:
         worst = sorted(bad)[0]
-        stage.warn(f"{worst}: {sum(bad.values())} samples in {len(bad)} frames are not finite; the fit leaves them out")
+        amount = f"{sum(bad.values())} samples in {len(bad)} frames"
+        stage.warn(f"{worst}: {amount} are not finite; the fit leaves them out: check the export")
     black = [p for p, top in tops.items() if not top > 0]
     if len(black) == len(tops):
         raise UserError(stage.capture.root, "every light-stage frame is black", "check the export")
     if black:
-        stage.warn(f"{sorted(black)[0]}: {len(black)} frames are black ({some(p.name for p in sorted(black))})")
+        named = some(p.name for p in sorted(black))
+        stage.warn(f"{sorted(black)[0]}: {len(black)} frames are black ({named}): check that their lights were on")
     stage.note("saturated_frames", frames.clipped_frames)
     table = _table(light_stage, stage.capture.root, frames)
     (stage.output / "olat.json").write_text(json.dumps(table, indent=1) + "\n")

@@ -138,8 +138,8 @@ def _tell(stage: StageRun, records: dict[str, FrameRecord]) -> None:
             grouped[fault].append((view, pixels))
     for fault, where in grouped.items():
         pixels = sum(n for _, n in where)
-        amount = f" ({pixels} pixels)" if pixels else ""
-        stage.warn(f"{stage.capture.view(where[0][0]).paths[0]}{_others(where)}: {fault}{amount}")
+        amount = f"{pixels} pixel{'s' * (pixels > 1)} " if pixels else ""
+        stage.warn(f"{stage.capture.view(where[0][0]).paths[0]}{_others(where)}: {amount}{fault}")
     moved = {view: r.moved for view, r in sorted(records.items()) if r.moved is not None}
     if moved:
         furthest, path = max(moved.values())
@@ -177,7 +177,7 @@ def _tell(stage: StageRun, records: dict[str, FrameRecord]) -> None:
     if len(sizes) > 1:
         stage.warn(
             f"{stage.capture.root}: images of {len(sizes)} sizes ({some(f'{w}x{h}' for w, h in sorted(sizes))}); "
-            "each keeps its own camera"
+            "each keeps its own camera; check that none is a smaller copy"
         )
     worst = max((r.facts["condition"] or 0.0 for r in records.values()), default=0.0)
     if worst > REFUSE_CONDITION:
@@ -188,7 +188,8 @@ def _tell(stage: StageRun, records: dict[str, FrameRecord]) -> None:
             "spread them: 0, 45, 90, 135",
         )
     if worst > WARN_CONDITION:
-        stage.warn(f"{stage.capture.root}: polariser angles close together (condition number {worst:.0f}): s1 and s2 are noisy")
+        close = f"polariser angles close together (condition number {worst:.0f}): s1 and s2 are noisy"
+        stage.warn(f"{stage.capture.root}: {close}; check the angles in file names or [stack.angles_deg]")
 
 
 WARN_CONDITION, REFUSE_CONDITION = 30.0, 300.0

@@ -131,7 +131,8 @@ class Session:
                 view.paths[0], f"too few features to find cameras ({len(poor)} of {len(self.proxies)} views)", f"try {ADVICE}"
             )
         if poor:
-            self.stage.warn(f"{self.stage.capture.root}: few features in {count(poor, 'view')} ({some(poor)})")
+            fault = f"few features in {count(poor, 'view')} ({some(poor)})"
+            self.stage.warn(f"{self.stage.capture.root}: {fault}: check that these are sharp, well exposed and show texture")
 
     def _intrinsics(self, members: list[Proxy], cameras: Mapping[str, Camera] | None) -> tuple[str, list[float]]:
         first = members[0]

@@ -26,13 +26,13 @@ POOR = 0.4
 several facets in a pixel 0.12, lights in another order 0.4 to 1."""
 BINS = 400
 REMEDIES = {
-    TOO_FEW: "the highlights fall between the lights or are too narrow for them: more lights, or take the normals alone",
-    SATURATED: "expose less: what clips tells nothing",
-    BLACK: "is the mask larger than the object, or a pass empty?",
-    NO_LOBE: "is there any specular light in the parallel pass? Are the passes exchanged, equal, or unpolarised?",
+    TOO_FEW: "the highlights fall between the lights or are too narrow for them: check the normals alone, or add lights",
+    SATURATED: "what clips tells nothing: check the exposure",
+    BLACK: "check that the mask is no larger than the object, and no pass empty",
+    NO_LOBE: "check that the parallel pass holds specular light, and the passes are not exchanged, equal, or unpolarised",
     BAD_SAMPLES: "samples are not finite: export the frames again",
     AWAY: "the lights or the cameras are in another frame: check the light table",
-    OUTSIDE: "the lights do not surround the object: diffuse maps hold, specular ones are bounds",
+    OUTSIDE: "the lights do not surround the object: diffuse maps hold, specular ones are bounds; check the light table",
 }
 
 
@@ -70,6 +70,6 @@ class Verdict:
             )
         if self.misfit > POOR and self.counts[GOOD] > MOST * total:
             stage.warn(
-                f"{camera}: half of the good pixels miss their samples by {100 * self.misfit:.0f} % and more: does the light "
-                "table fit the frames (frame, order, brightness), is there other light in them, or is the surface no reflector?"
+                f"{camera}: half of the good pixels miss their samples by {100 * self.misfit:.0f} % and more: check that the "
+                "light table fits the frames (frame, order, brightness), with no other light in them, and the surface reflects"
             )
