@@ -129,7 +129,7 @@ def load_config(root: Path) -> CaptureConfig:
         return CaptureConfig()
     try:
         table = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise UserError(path, f"is not valid TOML: {error}", "correct it; docs/captures.md has an example") from None
     config = _fill(CaptureConfig, table, path, "", hidden=("path",))
     _check(config, path)

@@ -10,6 +10,7 @@ from pipeline.capture.config import load_config
 from pipeline.capture.layouts import all_layouts
 from pipeline.capture.model import Capture
 from pipeline.capture.naming.files import UNREADABLE, some
+from pipeline.capture.naming.safe_names import refuse_special_files
 from pipeline.errors import UserError
 
 SHOWN = 12
@@ -35,6 +36,7 @@ def open_capture(path: Path | str) -> Capture:
         raise UserError(root, "cannot be read: permission denied", "make the folder readable") from None
     if not entries:
         raise UserError(root, "the folder is empty", "give CAPTURE= a folder with images; docs/captures.md lists the layouts")
+    refuse_special_files(root)
     config = load_config(root)
     layouts = all_layouts()
     if config.layout is not None:

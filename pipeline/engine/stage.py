@@ -128,7 +128,7 @@ def _convert(value: Any, kind: Any, key: str, source: str) -> Any:
         if kind is int and float(value) != int(float(value)):
             raise ValueError
         return int(float(value)) if kind is int else kind(value)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise UserError(source, f"{key} = {value!r} is not {_article(kind)}", "mend the value") from error
 
 
