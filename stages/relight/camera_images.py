@@ -7,6 +7,7 @@ import json
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.capture.naming.safe_names import environment_name
 from pipeline.engine.stage import StageRun
 from pipeline.formats.images import read_mask, srgb_encode, write_exr, write_png
 from pipeline.geometry.cameras import camera_from_frame
@@ -34,15 +35,17 @@ def relight_stage(run: StageRun) -> None:
                     index, run.capture.root, name, radiance, mask,
                     irradiance=config.irradiance, specular_factor=config.specular_factor, up=up,
                 )  # fmt: skip
-                _write(run, path.stem, f"{name}_olat", summed)
+                _write(run, environment_name(path), f"{name}_olat", summed)
                 if "olat" in run.inputs:
                     shaded = relight_maps(run.inputs["olat"] / name, camera, radiance, up=up)
-                    _write(run, path.stem, name, shaded)
+                    _write(run, environment_name(path), name, shaded)
                     inside = np.asarray(shaded.any(-1)) if mask is None else mask
                     error = relighting_error(summed, shaded, inside)
-                    write_exr(run.output / path.stem / f"{name}_error.exr", {"Y": error})
+                    write_exr(run.output / environment_name(path) / f"{name}_error.exr", {"Y": error})
                     if inside.any():
-                        run.note(f"{path.stem}.{name}.maps_error_median", round(float(np.median(error[inside])), 4))
+                        run.note(
+                            f"{environment_name(path)}.{name}.maps_error_median", round(float(np.median(error[inside])), 4)
+                        )
                 bar.advance(1)
 
 

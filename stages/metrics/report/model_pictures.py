@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.capture.naming.safe_names import environment_name
 from pipeline.engine.stage import StageRun
 from pipeline.formats.backdrop import object_pixels
 from pipeline.formats.images import channel_names, read_exr, read_image, read_stokes
@@ -118,7 +119,7 @@ def relit_cards(run: StageRun, metrics: dict[str, Any]) -> list[dict[str, Any]]:
     """For every map: the map, and views beside their truth where there is one."""
     names = sorted(v.view for v in run.capture.views)
     longest, out = run.parameters.picture_px, []
-    maps = {p.stem: p for p in run.capture.environments}
+    maps = {environment_name(p): p for p in run.capture.environments}
     for folder in sorted(p for p in run.inputs["relight"].iterdir() if p.is_dir()):
         pics: list[dict[str, str]] = []
         gt = run.capture.root / "gt" / "relight" / folder.name

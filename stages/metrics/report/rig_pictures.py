@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.capture.naming.safe_names import environment_name
 from pipeline.engine.stage import StageRun
 from pipeline.formats.images import read_image
 from pipeline.report import pictures
@@ -74,7 +75,7 @@ def _in_reading_order(path: Path) -> tuple[str, int]:
 def relit_cards(run: StageRun) -> list[dict[str, Any]]:
     """For every map: the map, and each camera from the frames and from the fitted maps."""
     out = []
-    maps = {p.stem: p for p in run.capture.environments}
+    maps = {environment_name(p): p for p in run.capture.environments}
     for folder in sorted(p for p in run.inputs["relight"].iterdir() if p.is_dir()):
         pics = []
         for path in sorted(folder.glob("cam*.exr"), key=_in_reading_order):
