@@ -48,7 +48,7 @@ def is_whole(version: Version) -> bool:
 
 def content_key(content: Mapping[str, Any]) -> str:
     """The key of what a version is made of: its `stage`, `version`, `parameters` and `inputs`."""
-    return digest_json({name: content[name] for name in ("stage", "version", "parameters", "inputs")})[:16]
+    return digest_json({name: content.get(name) for name in ("stage", "version", "parameters", "inputs")})[:16]
 
 
 def _is_manifest(m: Mapping[str, Any]) -> bool:
