@@ -81,9 +81,10 @@ class StackConfig:
 
 @dataclass(frozen=True)
 class OlatConfig:
-    """Light-stage facts (see docs/captures.md)."""
+    """Light-stage facts (see docs/light_stage.md). `first_frame`: the number of the frame of the light with index 0."""
 
     lights: str | None = None
+    first_frame: int | None = None
     irradiance: float = 3.141592653589793
     near_light: bool = False
     distortion: bool = False
@@ -171,13 +172,13 @@ def _convert(hint: Any, value: Any, path: Path, key: str) -> Any:
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise wrong
         return float(value)
-    if not isinstance(value, hint):
+    if not isinstance(value, hint) or (hint is int and isinstance(value, bool)):
         raise wrong
     return value
 
 
 def _spoken(hint: Any) -> str:
-    names = {float: "a number", bool: "true or false", str: "text"}
+    names = {float: "a number", int: "a whole number", bool: "true or false", str: "text"}
     origin = typing.get_origin(hint)
     return names.get(hint) or {dict: "a table", tuple: "a list"}.get(origin) or "a table"
 

@@ -72,12 +72,15 @@ class ViewSource:
 @dataclass(frozen=True)
 class LightTable:
     """Directions from the stage's centre to each light (world, unit) [N, 3], positions [N, 3] in world units,
-    relative intensity [N], solid angle [N] in sr (None: to be computed from the directions)."""
+    relative intensity [N], solid angle [N] in sr (None: to be computed from the directions). index [N]: the table's own
+    number of each light, which its frame bears (None: 0..N-1); names: the file of each light's frame, where it tells."""
 
     directions: NDArray[np.float64]
     positions: NDArray[np.float64]
     intensity: NDArray[np.float64]
     solid_angle: NDArray[np.float64] | None = None
+    index: NDArray[np.int64] | None = None
+    names: tuple[str, ...] | None = None
 
     def __len__(self) -> int:
         return len(self.directions)
@@ -109,7 +112,8 @@ class Capture:
     """A capture folder, understood. `files` lists every input; nothing in it is ever written to.
 
     masks: mask file per view, "alpha" (the images carry it), or None. colmap: folder of an existing COLMAP model.
-    clean_plates: background photographs by physical camera or view, for masks by difference.
+    clean_plates: background photographs by physical camera or view, for masks by difference. parts: "train", "validation"
+    or "test" by VIEW where the capture's own tables divide the views.
     """
 
     root: Path
@@ -129,6 +133,7 @@ class Capture:
     warnings: tuple[str, ...] = ()
     facts: tuple[str, ...] = ()
     clean_plates: dict[str, Path] = field(default_factory=dict)
+    parts: dict[str, str] | None = None
 
     @property
     def camera_names(self) -> tuple[str, ...]:

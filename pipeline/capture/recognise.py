@@ -9,8 +9,9 @@ from pathlib import Path
 from pipeline.capture.config import load_config
 from pipeline.capture.layouts import all_layouts
 from pipeline.capture.model import Capture
-from pipeline.capture.naming.files import UNREADABLE, some
 from pipeline.capture.naming.safe_names import refuse_special_files
+from pipeline.capture.recognition.foreign import foreign_warnings, refuse_unreadable
+from pipeline.capture.recognition.told_tables import refuse_idle_tables
 from pipeline.errors import UserError
 
 SHOWN = 12
@@ -44,10 +45,11 @@ def open_capture(path: Path | str) -> Capture:
         if not chosen:
             names = ", ".join(layout.name for layout in layouts)
             raise UserError(root / "capture.toml", f"layout = {config.layout!r} is not a layout", f"known: {names}")
-        return _with_foreign_files(chosen[0].read(root, config))
+        return _checked(chosen[0].read(root, config))
     for layout in layouts:
         if layout.recognise(root):
-            return _with_foreign_files(layout.read(root, config))
+            return _checked(layout.read(root, config))
+    refuse_unreadable(root)
     looked = "; ".join(f"{layout.name}: {layout.looks_like}" for layout in layouts)
     found = ", ".join(entries[:SHOWN]) + (f" and {len(entries) - SHOWN} more" if len(entries) > SHOWN else "")
     raise UserError(
@@ -57,11 +59,7 @@ def open_capture(path: Path | str) -> Capture:
     )
 
 
-def _with_foreign_files(capture: Capture) -> Capture:
-    """The capture with a warning for files among its images that nobody here can read (R3D, BRAW, HEIC, video)."""
-    folders = sorted({path.parent for view in capture.views for path in view.paths})
-    foreign = sorted(p for f in folders for p in f.iterdir() if p.suffix.lower() in UNREADABLE and not p.name.startswith("."))
-    if not foreign:
-        return capture
-    line = f"{foreign[0].parent}: left out {some(p.name for p in foreign)}: {UNREADABLE[foreign[0].suffix.lower()]}"
-    return replace(capture, warnings=(*capture.warnings, line))
+def _checked(capture: Capture) -> Capture:
+    """The capture, its capture.toml held against it, with warnings for files among its images that nobody here reads."""
+    refuse_idle_tables(capture)
+    return replace(capture, warnings=(*capture.warnings, *foreign_warnings(capture)))

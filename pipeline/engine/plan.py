@@ -94,7 +94,8 @@ def make_plan(
 def _capture_facts(capture: Capture, stage: Stage) -> dict[str, Any]:
     """What a stage heeds of the capture beside the bytes of its files."""
     sections = {name: as_json(getattr(capture.config, name)) for name in stage.config}
-    return {"layout": capture.layout, "views": [v.view for v in capture.views], **sections}
+    parts = {"parts": capture.parts} if capture.parts is not None else {}
+    return {"layout": capture.layout, "views": [v.view for v in capture.views], **parts, **sections}
 
 
 def as_json(value: Any) -> Any:

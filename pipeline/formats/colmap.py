@@ -20,7 +20,13 @@ MODELS = {
     9: ("RADIAL_FISHEYE", 5), 10: ("THIN_PRISM_FISHEYE", 12), 11: ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
 }  # fmt: skip
 FILES = ("cameras", "images", "points3D")
-PLACES = ("sparse/0", "sparse", "colmap/sparse/0", "colmap", "distorted/sparse/0", "")
+PLACES = (
+    ("sparse/*", "sparse"),
+    ("colmap/sparse/*", "colmap/sparse", "colmap"),
+    ("distorted/sparse/*", "distorted/sparse"),
+    ("",),
+)
+"""Where models lie below a capture, the nearer to the images first; within a group the largest is the capture's."""
 
 
 @dataclass(frozen=True)
@@ -32,13 +38,36 @@ class ColmapModel:
     colours: NDArray[np.uint8]
 
 
+def find_models(root: Path) -> list[Path]:
+    """The folders below `root` that hold COLMAP models of one kind, the one with the most images first."""
+    for group in PLACES:
+        found = [f for place in group for f in (sorted(root.glob(place)) if place else [root]) if _holds_model(f)]
+        if found:
+            return sorted(found, key=registered_images, reverse=True)
+    return []
+
+
 def find_model(root: Path) -> Path | None:
-    """The folder below `root` that holds a COLMAP model, or None."""
-    for place in PLACES:
-        folder = root / place
-        if any(all((folder / f"{name}{suffix}").is_file() for name in FILES[:2]) for suffix in (".bin", ".txt")):
-            return folder
-    return None
+    """The folder below `root` that holds its COLMAP model (of several, the largest), or None."""
+    return next(iter(find_models(root)), None)
+
+
+def _holds_model(folder: Path) -> bool:
+    return any(all((folder / f"{name}{suffix}").is_file() for name in FILES[:2]) for suffix in (".bin", ".txt"))
+
+
+def registered_images(folder: Path) -> int:
+    """How many images a model tells of, from its file's head or lines; 0 where it cannot be read."""
+    path = next((p for p in model_files(folder) if p.stem == "images"), None)
+    if path is None:
+        return 0
+    try:
+        if path.suffix == ".bin":
+            with path.open("rb") as stream:
+                return int(struct.unpack("<Q", stream.read(8))[0])
+        return len(_images_txt(path.read_text(encoding="utf-8")))
+    except (OSError, ValueError, IndexError, struct.error):
+        return 0
 
 
 def model_files(folder: Path) -> tuple[Path, ...]:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.formats.sample_kernels import widen_halves
+from pipeline.kernels.compiling import kernel
 
 
-@numba.njit(nogil=True, cache=True)
+@kernel(nogil=True)
 def undo_predictor(inflated: NDArray[np.uint8], out: NDArray[np.uint16]) -> None:
     """The samples' bytes, as words out [N], of inflated [2 N].
 
@@ -27,7 +27,7 @@ def undo_predictor(inflated: NDArray[np.uint8], out: NDArray[np.uint16]) -> None
         out[i] = np.uint16((low & np.uint64(255)) | ((high & np.uint64(255)) << np.uint64(8)))
 
 
-@numba.njit(nogil=True, cache=True)
+@kernel(nogil=True)
 def place_halves(
     words: NDArray[np.uint16],
     wide: NDArray[np.float32],
@@ -41,14 +41,14 @@ def place_halves(
         _interleave(wide, place, out[y])
 
 
-@numba.njit(nogil=True, cache=True)
+@kernel(nogil=True)
 def place_floats(samples: NDArray[np.float32], place: NDArray[np.int64], out: NDArray[np.float32]) -> None:
     """Floats samples [rows, C W] to out [rows, W, C'], channel c at place[c]."""
     for y in range(out.shape[0]):
         _interleave(samples[y], place, out[y])
 
 
-@numba.njit(nogil=True, cache=True)
+@kernel(nogil=True)
 def _interleave(row: NDArray[np.float32], place: NDArray[np.int64], out: NDArray[np.float32]) -> None:
     width, channels = out.shape
     flat = out.reshape(-1)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from pipeline.kernels.compiling import kernel
 
 _TO_SINGLE = np.float32(2.0**112)
 """A half's exponent bias is 15, a float's 127: shifted bits are low by 2^112, subnormal halves included."""
@@ -13,7 +14,7 @@ CHUNK = 2048
 _HALF_SPECIAL = np.float32(65536.0)
 
 
-@numba.njit(nogil=True, cache=True)
+@kernel(nogil=True)
 def _widen_chunk(bits: NDArray[np.uint16], out: NDArray[np.float32], out_bits: NDArray[np.uint32]) -> None:
     n = bits.size
     for i in range(n):
@@ -25,7 +26,7 @@ def _widen_chunk(bits: NDArray[np.uint16], out: NDArray[np.float32], out_bits: N
         out_bits[i] |= special | (np.uint32(bits[i] & np.uint16(0x8000)) << np.uint32(16))
 
 
-@numba.njit(nogil=True, cache=True)
+@kernel(nogil=True)
 def widen_halves(bits: NDArray[np.uint16], out: NDArray[np.float32], out_bits: NDArray[np.uint32]) -> None:
     """Half floats, as their bits [N], to floats [N]; `out_bits` is a view of `out`. Exact, also for NaN and infinity."""
     for start in range(0, bits.size, CHUNK):
@@ -33,14 +34,14 @@ def widen_halves(bits: NDArray[np.uint16], out: NDArray[np.float32], out_bits: N
         _widen_chunk(bits[start:stop], out[start:stop], out_bits[start:stop])
 
 
-@numba.njit(nogil=True, cache=True)
+@kernel(nogil=True)
 def look_up(codes: NDArray, table: NDArray[np.float32], out: NDArray[np.float32]) -> None:
     """out [N] = table[codes [N]]; the table has an entry for every code."""
     for i in range(codes.size):
         out[i] = table[codes[i]]
 
 
-@numba.njit(nogil=True, cache=True)
+@kernel(nogil=True)
 def mark_at_least(codes: NDArray, limit: int, alpha: int, out: NDArray[np.bool_]) -> None:
     """out [P] = whether any colour of codes [P, C] reaches `limit`; the channel `alpha` (-1: none) is left out."""
     pixels, channels = codes.shape

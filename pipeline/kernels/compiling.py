@@ -1,39 +1,90 @@
-"""How every kernel here is compiled."""
+"""`kernel`: numba.njit, kept on disk by the digest of all sources that it draws on. Importing this loads numba."""
 
 from __future__ import annotations
 
-import hashlib
+import threading
 from collections.abc import Callable
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from numba import njit
+import numba
+
+from pipeline.kernels import freshness, storage
+
+_NUMBAS_OWN = "UserProvidedCacheLocator,InTreeCacheLocator,UserWideCacheLocator,IPythonCacheLocator,ZipCacheLocator"
+_config: Any = numba.config  # its settings are made at run time
+_here = threading.local()  # .function: the kernel that this thread is decorating
+_decorating = threading.Lock()
+_made: dict[tuple[str, str], tuple[int, dict[str, Any]]] = {}
 
 
-def _digest() -> str:
-    root = Path(__file__).parents[2]
-    sources = sorted([*root.glob("pipeline/kernels/*.py"), *root.glob("stages/train/rasterize/*.py")])
-    return hashlib.sha256(b"".join(source.read_bytes() for source in sources)).hexdigest()
+def kernel(function: Callable[..., Any] | None = None, *, allocates: bool = True, **options: Any) -> Any:
+    """Compile `function` with numba at its first call, or load what was compiled from the same sources before.
 
-
-_STAMP = _digest()
-
-
-def kernel(function: Callable[..., Any], *, allocates: bool = False) -> Any:
-    """njit without the GIL, without Python's division checks, cached on disk.
-
-    Unless it allocates, without reference counts too: an atomic count for every view of an array, shared by the threads,
-    took two fifths of the backward pass.
-
-    numba drops a cached kernel only when the kernel's own file changed, though constants and inlined helpers come from
-    others: the stamp is over the folder instead.
+    options: numba.njit's, `cache` aside. Nothing is set unless it is said.
+    allocates: False promises that the kernel makes no arrays, and compiles it without reference counts: an atomic count for
+    every view of an array, shared by the threads, took two fifths of the rasteriser's backward pass.
+    Raises TypeError on a second kernel of the same qualified name in one file, and on other options for the same function:
+    their code would be kept under one name.
     """
-    options: dict[str, Any] = {"cache": True, "nogil": True, "error_model": "numpy", "_nrt": allocates}
-    compiled: Any = njit(**options)(function)
-    compiled._cache._cache_file._source_stamp = _STAMP
+    if function is None:
+        return lambda function: kernel(function, allocates=allocates, **options)
+    if not allocates:
+        options["_nrt"] = False
+    file = Path(function.__code__.co_filename)
+    folder = storage.place()
+    if folder is None or not file.is_file() or not freshness.settled(file):
+        return numba.njit(**options)(function)
+    this = function.__code__.co_firstlineno, options
+    if _made.setdefault((str(file), function.__qualname__), this) != this:
+        raise TypeError(f"{file}:{this[0]}: {function.__qualname__} is a kernel already, or one with other options: rename one")
+    with _located(function):
+        compiled = numba.njit(cache=True, **options)(function)
+    if hasattr(compiled, "stats") and compiled.stats.cache_path != str(folder):  # with NUMBA_DISABLE_JIT it is the function
+        raise RuntimeError(f"numba keeps {function.__qualname__} in {compiled.stats.cache_path}: its rules changed")
     return compiled
 
 
-def allocating_kernel(function: Callable[..., Any]) -> Any:
-    """A kernel that may make arrays."""
-    return kernel(function, allocates=True)
+@contextmanager
+def _located(function: Callable[..., Any]) -> Any:
+    """Have numba ask `Locator` where the code of `function` lies (its setting NUMBA_CACHE_LOCATOR_CLASSES, for this call)."""
+    with _decorating:
+        before, _here.function = _config.CACHE_LOCATOR_CLASSES, function
+        _config.CACHE_LOCATOR_CLASSES = f"{__name__}.{Locator.__name__},{before or _NUMBAS_OWN}"
+        try:
+            yield
+        finally:
+            _config.CACHE_LOCATOR_CLASSES, _here.function = before, None
+
+
+class Locator:
+    """Where numba keeps a kernel's code: the interface of its cache locators."""
+
+    def __init__(self, file: Path, folder: Path) -> None:
+        self._py_file = str(file)  # numba names it in a warning
+        self.folder, self.name, self.digest = folder, freshness.dotted(file), freshness.digest(file)
+        storage.claim(folder, self.name, self.digest)
+
+    @classmethod
+    def from_function(cls, py_func: Callable[..., Any], py_file: str) -> Locator | None:
+        """The locator of a kernel; None, for numba to ask the next class, of any other function."""
+        folder = storage.place()
+        ours = py_func is getattr(_here, "function", None)
+        return cls(Path(py_file), folder) if ours and folder is not None else None
+
+    def ensure_cache_path(self) -> None:
+        """Make the folder."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+
+    def get_cache_path(self) -> str:
+        """The folder."""
+        return str(self.folder)
+
+    def get_source_stamp(self) -> str:
+        """What must be equal for kept code to be right."""
+        return self.digest
+
+    def get_disambiguator(self) -> str:
+        """Part of the file's name: with the digest in it, no process ever writes over another state's code."""
+        return storage.label(self.name, self.digest)

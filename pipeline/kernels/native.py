@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import ctypes
 import hashlib
-import importlib.util
 import os
 import tempfile
 import threading
@@ -17,26 +16,24 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from pipeline.kernels.cache import folder, sources
+from pipeline.kernels import freshness, storage
 
 Kernel = Callable[..., None]
 KINDS = {"int64": ctypes.c_int64, "pointer": ctypes.c_void_p}
 UNREACHED = ("NRT_MemInfo_call_dtor",)
 """Of numba's runtime: what frees an array, which kernels without arrays of their own name and never reach."""
-UNRELATED = ("NUMBA_CACHE_DIR", "NUMBA_NUM_THREADS", "NUMBA_THREADING_LAYER")
-"""Settings of numba that leave machine code as it is."""
 _loaded: dict[str, tuple[Kernel, Any]] = {}
 _loading = threading.Lock()
 
 
-def kernel(name: str, arguments: tuple[str, ...], build: Callable[[], tuple[str, bytes]]) -> Kernel:
+def kernel(name: str, source: Path, arguments: tuple[str, ...], build: Callable[[], tuple[str, bytes]]) -> Kernel:
     """The kernel `name` of `arguments` ("int64" or "pointer"), from its object file if there is one, else from `build`.
 
-    build: compiles it and returns its symbol and object file (`machine_code`).
+    source: the file that defines it. build: compiles it and returns its symbol and object file (`machine_code`).
     """
     with _loading:  # cameras' readers ask at once
         if name not in _loaded:
-            place = _place(name)
+            place = _place(name, source)
             found = _read(place) if place is not None else None
             if found is None:
                 found = build()
@@ -46,14 +43,15 @@ def kernel(name: str, arguments: tuple[str, ...], build: Callable[[], tuple[str,
         return _loaded[name][0]
 
 
-def compiled(name: str) -> bool:
+def compiled(name: str, source: Path) -> bool:
     """Whether a kernel was compiled before."""
-    place = _place(name)
+    place = _place(name, source)
     return name in _loaded or (place is not None and place.is_file())
 
 
 def machine_code(function: Callable[..., None], arguments: tuple[Any, ...]) -> tuple[str, bytes]:
     """`function` compiled for numba types `arguments`: its symbol, and its object file."""
+    import llvmlite.binding as llvm
     from numba.core import compiler, registry, types
 
     flags: Any = compiler.Flags()
@@ -62,30 +60,26 @@ def machine_code(function: Callable[..., None], arguments: tuple[Any, ...]) -> t
     typing, target = registry.cpu_target.typing_context, registry.cpu_target.target_context
     found = compiler.compile_extra(typing, target, function, arguments, types.none, flags, locals={})
     symbol = found.fndesc.llvm_func_name
-    process = ctypes.CDLL(None)
-    foreign = {f.name for f in found.library._final_module.functions if f.is_declaration and not f.name.startswith("llvm.")}
+    process, module = ctypes.CDLL(None), llvm.parse_assembly(found.library.get_llvm_str())
+    foreign = {f.name for f in module.functions if f.is_declaration and not f.name.startswith("llvm.")}
     if missing := [name for name in sorted(foreign.difference(UNREACHED)) if not hasattr(process, name)]:
         raise TypeError(f"{symbol} needs numba's runtime: {', '.join(missing)}")
     found.library.get_pointer_to_function(symbol)  # until it is asked for, nothing is compiled
-    return symbol, bytes(found.library._get_compiled_object())
+    _, _, (code, _) = found.library.serialize_using_object_code()
+    return symbol, bytes(code)
 
 
-def _place(name: str) -> Path | None:
-    """Where the object file for these sources, this numba and this processor is kept; None where nothing can be."""
-    import llvmlite
+def _place(name: str, source: Path) -> Path | None:
+    """Where the object file for these sources and this processor is kept; None where it cannot be, or must not."""
     import llvmlite.binding as llvm
 
-    set_by_user = os.environ.get("NUMBA_CACHE_DIR")
-    root = Path(set_by_user) if set_by_user else folder()
-    numba = importlib.util.find_spec("numba")  # finds it without importing it
-    if root is None or numba is None or numba.origin is None:
+    folder = storage.place()
+    if folder is None or not freshness.settled(source):
         return None
-    options = sorted(f"{k}={v}" for k, v in os.environ.items() if k.startswith("NUMBA_") and k not in UNRELATED)
-    version = Path(numba.origin).with_name("_version.py").read_bytes()
-    parts = (llvmlite.__version__, llvm.get_process_triple(), llvm.get_host_cpu_name(), *options, sources())
-    digest = hashlib.sha256(version + "\0".join(parts).encode())
-    digest.update(llvm.get_host_cpu_features().flatten().encode())
-    return root / f"{name}-{digest.hexdigest()[:12]}.o"
+    file, digest = freshness.dotted(source), freshness.digest(source)
+    storage.claim(folder, file, digest)
+    processor = "\0".join((llvm.get_process_triple(), llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()))
+    return folder / f"{name}-{storage.label(file, digest)}.{hashlib.sha256(processor.encode()).hexdigest()[:12]}.o"
 
 
 def _read(place: Path) -> tuple[str, bytes] | None:

@@ -9,12 +9,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, types
+from numba import types
 from numba.extending import overload
 
-from pipeline.kernels.cache import keep_fresh
-
-keep_fresh()
+from pipeline.kernels.compiling import kernel
 
 FAST = {"reassoc", "contract", "arcp", "nsz", "afn"}
 """Reassociated sums (SIMD) and reciprocals, but NaN and Inf keep their meaning."""
@@ -52,14 +50,14 @@ def _exp(x):
     return lambda x: math.exp(x)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def copy1(source, target):
     """target[:] = source, without the error message that numba would compile for it (seconds of compile time)."""
     for k in range(target.size):
         target[k] = source[k]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def copy2(source, target):
     """The same for matrices."""
     for j in range(target.shape[0]):
@@ -67,7 +65,7 @@ def copy2(source, target):
             target[j, k] = source[j, k]
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST, error_model="numpy")
 def _count_from(values, level):
     n = np.int32(0)
     for k in range(values.size):
@@ -75,7 +73,7 @@ def _count_from(values, level):
     return n
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def kth_largest(values, k):
     """The k-th largest (from 0) of `values`, to 2.5e-4 of itself; 0 where it is not above 0.
 
@@ -92,7 +90,7 @@ def kth_largest(values, k):
     return np.int32(low).view(np.float32)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def solve3(a, b, c, d, e, f, x, y, z):
     """Solve [[a b c] [b d e] [c e f]] s = (x, y, z) in float64. Returns s and whether the matrix is well away from singular."""
     c00, c01, c02 = d * f - e * e, c * e - b * f, b * e - c * d
@@ -105,7 +103,7 @@ def solve3(a, b, c, d, e, f, x, y, z):
     return (c00 * x + c01 * y + c02 * z) * r, (c01 * x + c11 * y + c12 * z) * r, (c02 * x + c12 * y + c22 * z) * r, True
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def cholesky_solve(matrix, rhs, n, out):
     """Solve the n x n positive definite system in place (lower factor left in `matrix`). False where it is not definite."""
     for j in range(n):

@@ -13,9 +13,7 @@ from typing import Any
 
 from llvmlite import ir
 from numba import extending, types
-from numba.core.imputils import lower_builtin
-from numba.core.typing.templates import AbstractTemplate, infer_global, signature
-from numba.extending import models, register_model
+from numba.extending import lower_builtin, models, register_model, type_callable
 
 intrinsic: Any = extending.intrinsic  # numba's annotation shows the compiler's arguments, not the caller's
 
@@ -67,18 +65,18 @@ def _spread(context: Any, builder: Any, value: Any, kind: Any) -> Any:
 def _binary(symbols: tuple[Callable[..., Any], ...], result: Any, emit: Callable[[Any, Any, Any], Any]) -> None:
     """Register an operator (and its in-place form) on (Row, Row), (Row, number) and (number, Row)."""
 
-    class _Template(AbstractTemplate):
-        def generic(self, args: Any, kws: Any) -> Any:
-            if len(args) == 2 and row in args and all(a == row or isinstance(a, types.Number) for a in args):
-                return signature(result, *args)
-            return None
+    def typing(context: Any) -> Any:
+        def typer(x: Any, y: Any) -> Any:
+            return result if row in (x, y) and all(a == row or isinstance(a, types.Number) for a in (x, y)) else None
+
+        return typer
 
     def lower(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         a, b = (_spread(context, builder, value, kind) for value, kind in zip(args, sig.args))
         return emit(builder, a, b)
 
     for symbol in symbols:
-        infer_global(symbol)(type("_Template", (_Template,), {"key": symbol}))
+        type_callable(symbol)(typing)
         for kinds in ((row, row), (row, types.Number), (types.Number, row)):
             lower_builtin(symbol, *kinds)(lower)
 
@@ -94,10 +92,9 @@ _binary((operator.ge,), mask, lambda b, x, y: b.fcmp_ordered(">=", x, y))
 
 
 def _logical(symbol: Callable[..., Any], emit: Callable[[Any, Any, Any], Any]) -> None:
-    @infer_global(symbol)
-    class _Template(AbstractTemplate):
-        def generic(self, args: Any, kws: Any) -> Any:
-            return signature(mask, mask, mask) if args == (mask, mask) else None
+    @type_callable(symbol)
+    def typing(context: Any) -> Any:
+        return lambda x, y: mask if x == y == mask else None
 
     lower_builtin(symbol, mask, mask)(lambda context, builder, sig, args: emit(builder, *args))
 

@@ -17,8 +17,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from pipeline.kernels.compiling import kernel
 from pipeline.kernels.numerics import FAST, FOUR, HALF, ONE, TINY, TWO, ZERO, exp
 from pipeline.rig.lobe_names import BECKMANN, PRINTED, PRINTED_COSINE, WARD
 
@@ -30,7 +30,7 @@ G_A, G_B, G_C, G_D = (np.float32(v) for v in (3.535, 2.181, 2.276, 2.577))
 G_ONE = np.float32(1 / 1.6)  # below this alpha tan(theta) nothing is masked
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy", inline="always")
+@kernel(fastmath=FAST, error_model="numpy", inline="always")
 def smith(x, y, z, ea, eb, c):
     """G1 of a direction (x, y, z) in the frame, and d log G1 by d1, d2, A, B, C."""
     fa, fb = ONE / ea, ONE / eb
@@ -55,7 +55,7 @@ def smith(x, y, z, ea, eb, c):
     )
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy", inline="always")
+@kernel(fastmath=FAST, error_model="numpy", inline="always")
 def _point(h0, h1, h2, i0, i1, i2, f, ea, eb, c, kind):
     """Lobe of one light without its factor, and the derivatives of its logarithm by d1, d2, A, B, C.
 
@@ -92,13 +92,13 @@ def _point(h0, h1, h2, i0, i1, i2, f, ea, eb, c, kind):
     )
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST, error_model="numpy")
 def _values(h0, h1, h2, i0, i1, i2, f, ea, eb, c, kind, factor, out):
     for k in range(h0.size):
         out[k] = factor * _point(h0[k], h1[k], h2[k], i0[k], i1[k], i2[k], f, ea, eb, c, kind)[0]
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST, error_model="numpy")
 def _rows(h0, h1, h2, i0, i1, i2, f, ea, eb, c, kind, factor, v, out):
     for k in range(h0.size):
         g, l0, l1, l2, l3, l4 = _point(h0[k], h1[k], h2[k], i0[k], i1[k], i2[k], f, ea, eb, c, kind)
@@ -107,7 +107,7 @@ def _rows(h0, h1, h2, i0, i1, i2, f, ea, eb, c, kind, factor, v, out):
         out[3, k], out[4, k], out[5, k] = g * (l3 + v[3]), g * (l4 + v[4]), g
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST, error_model="numpy")
 def _sums(h0, h1, h2, i0, i1, i2, light, floor, weight, f, ea, eb, c, kind, factor, rho, v, matrix, gradient):
     s00 = s01 = s02 = s03 = s04 = s05 = s11 = s12 = s13 = s14 = s15 = ZERO * ea
     s22 = s23 = s24 = s25 = s33 = s34 = s35 = s44 = s45 = s55 = ZERO * ea
@@ -160,7 +160,7 @@ def _sums(h0, h1, h2, i0, i1, i2, light, floor, weight, f, ea, eb, c, kind, fact
     return cost
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _common(lobe, frame, shape, o, kind):
     """What all lights of a pixel share: the frame as 9 numbers, (e^A, e^B, C), the factor, and the view's derivatives."""
     ot = frame[0, 0] * o[0] + frame[0, 1] * o[1] + frame[0, 2] * o[2]
@@ -195,7 +195,7 @@ def _common(lobe, frame, shape, o, kind):
     return f, kind(a), kind(b), kind(c), blend, kind(factor), (kind(v0), kind(v1), kind(v2), kind(v3), kind(v4))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def values(lobe, frame, shape, o, h, i, out):
     """Fill `out` [N] with g.
 
@@ -206,7 +206,7 @@ def values(lobe, frame, shape, o, h, i, out):
     _values(h[0], h[1], h[2], i[0], i[1], i[2], f, a, b, c, blend, factor, out)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def normal_equations(lobe, frame, shape, rho, o, h, i, light, floor, weight, matrix, gradient):
     """Gauss-Newton matrix float64 [6, 6] and gradient [6] of half the weighted square residual of `rho g`; returns its cost.
 
@@ -222,7 +222,7 @@ def normal_equations(lobe, frame, shape, rho, o, h, i, light, floor, weight, mat
     return float(cost)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def jacobian(lobe, frame, shape, o, h, i, out):
     """Fill `out` [6, N] with the derivatives of g by d1, d2, A, B, C, and g itself in the last row. See `values`."""
     f, a, b, c, blend, factor, v = _common(lobe, frame, shape, o, h[0].dtype.type)

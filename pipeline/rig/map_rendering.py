@@ -5,20 +5,21 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 from numpy.typing import NDArray
 
+from pipeline.kernels.compiling import kernel
 from pipeline.rig.lobes import values
 
 TURNS = 6  # tangents over which a lobe without a tangent of its own is averaged
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _inverse_width(sigma, spread):
     return -math.log(math.sqrt(sigma * sigma + spread * spread))
 
 
-@njit(cache=True, error_model="numpy", parallel=True, nogil=True)
+@kernel(error_model="numpy", parallel=True, nogil=True)
 def _render(lobe, view, normal_d, normal_s, tangent, sigma, albedo_s, directions, light, spread, out):
     count = directions.shape[0]
     for p in prange(view.shape[0]):

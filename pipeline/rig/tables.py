@@ -44,6 +44,8 @@ def read_lsx3(root: Path) -> LightTable:
 def read_lights_csv(path: Path) -> LightTable:
     """A rig from `index, x, y, z[, intensity][, solid_angle]`, ordered by index. Positions in world units, or directions.
 
+    A light that did not fire is left out: its index then is missing, and its frame is not used.
+
     Raises UserError naming the line that is wrong.
     """
     if not path.is_file():
@@ -78,7 +80,11 @@ def read_lights_csv(path: Path) -> LightTable:
         raise UserError(path, "a light's intensity is not above 0", "take lights that did not fire out of the table")
     if area is not None and (not np.all(np.isfinite(area)) or np.any(area < 0)):
         raise UserError(path, "a solid angle is negative or not finite", "mend it, or drop the column to have it computed")
-    return LightTable(table.directions, table.positions, intensity, area)
+    numbers = column["index"]
+    if not np.all(np.isfinite(numbers)) or np.any(numbers != np.round(numbers)) or np.any(numbers < 0):
+        bad = numbers[~(np.isfinite(numbers) & (numbers == np.round(numbers)) & (numbers >= 0))][0]
+        raise UserError(path, f"index {bad:g} is no whole number from 0", "number the lights as their frames are")
+    return LightTable(table.directions, table.positions, intensity, area, numbers.astype(np.int64))
 
 
 def table_from_positions(positions: NDArray[np.float64], path: Path | str = "lights") -> LightTable:

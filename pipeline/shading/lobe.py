@@ -15,9 +15,10 @@ from typing import Any
 
 import numpy as np
 import torch
-from numba import njit, prange
+from numba import prange
 from numpy.typing import NDArray
 
+from pipeline.kernels.compiling import kernel
 from pipeline.optics import fresnel, microfacet
 from pipeline.optics.stokes import surface_pattern
 
@@ -143,7 +144,7 @@ class _Lobe(torch.autograd.Function):
         return (None, None, *new, None, None, tables.sum(0))
 
 
-@njit(cache=True, fastmath=MATH, error_model="numpy")
+@kernel(fastmath=MATH, error_model="numpy")
 def _shadow(c, alpha, ggx):
     """Smith's G1: microfacet.masking for one cosine."""
     t2 = (_ONE - c) * (_ONE + c) / (c * c)
@@ -156,7 +157,7 @@ def _shadow(c, alpha, ggx):
     return _ONE / (_ONE + top / (np.float32(3.535) * a + np.float32(2.181) * a * a))
 
 
-@njit(cache=True, fastmath=MATH, error_model="numpy")
+@kernel(fastmath=MATH, error_model="numpy")
 def _facets(n, v, r, e, facets, spread, ggx, out):
     """Fill out [K, 4] with half vectors and normalised weights; returns whether any facet is seen.
 
@@ -209,7 +210,7 @@ def _facets(n, v, r, e, facets, spread, ggx, out):
     return False
 
 
-@njit(cache=True, fastmath=MATH, error_model="numpy")
+@kernel(fastmath=MATH, error_model="numpy")
 def _polarisation(c, square, e):
     """beta_s/sin^2 with its slopes in c, square = sin^2, and eta."""
     q = np.sqrt((e - _ONE) * (e + _ONE) + c * c)
@@ -220,7 +221,7 @@ def _polarisation(c, square, e):
     return value, by_x * (q + c * c / q), -value * _TWO * square * d, by_x * c * e / q
 
 
-@njit(cache=True, parallel=True, fastmath=MATH, error_model="numpy")
+@kernel(parallel=True, fastmath=MATH, error_model="numpy")
 def _forward(
     normal, view, roughness, ior, frame_x, frame_y, packed, nodes, sizes, starts, index, bases,
     facets, spread, rest, ggx, value, turned,
@@ -261,7 +262,7 @@ def _forward(
                     turned[p, 1, k] += sin2 * light
 
 
-@njit(cache=True, parallel=True, fastmath=MATH, error_model="numpy")
+@kernel(parallel=True, fastmath=MATH, error_model="numpy")
 def _backward(
     normal, view, roughness, ior, frame_x, frame_y, packed, nodes, sizes, starts, index, bases,
     facets, spread, rest, ggx, g_value, g_turned, g_normal, g_view, g_roughness, g_ior, g_packed,

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
+
+from pipeline.kernels.compiling import kernel
 
 GGX, BECKMANN, COSINE, TRANSMITTED = 0, 1, 2, 3
 # IoR at which the transmitted irradiance level is computed (physics.md 3).
@@ -25,7 +27,7 @@ COSINE_SCALE = 0.45
 BECKMANN_REACH = 4.0
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
+@kernel(fastmath=True, error_model="numpy")
 def _lobe(kind, cosine, alpha):
     """Kernel at cos(angle to the axis): lobe D(h) (n.l) for a mirror direction equal to normal and view."""
     if cosine <= 0.0:
@@ -47,7 +49,7 @@ def _lobe(kind, cosine, alpha):
     return np.exp(-t2 / a2) / (nh2 * nh2) * cosine
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
+@kernel(fastmath=True, error_model="numpy")
 def _cell(kind, alpha, axis, axes, face, size, j, i, samples):
     """Integral of the kernel over cell (j, i) of a face with size^2 cells: midpoint rule, exact area element."""
     step = 2.0 / (size * samples)
@@ -65,7 +67,7 @@ def _cell(kind, alpha, axis, axes, face, size, j, i, samples):
     return total * step * step
 
 
-@njit(cache=True, fastmath=True, error_model="numpy")
+@kernel(fastmath=True, error_model="numpy")
 def _row(kind, alpha, accept, axis, axes, finest, levels, offsets, total, columns, values):
     """One row of weights that sum to `total`: descend from the coarsest cube, whole cells where the kernel is flat.
 
@@ -131,7 +133,7 @@ def _row(kind, alpha, accept, axis, axes, finest, levels, offsets, total, column
     return count
 
 
-@njit(cache=True, parallel=True)
+@kernel(parallel=True)
 def count_rows(kind, alpha, accept, directions, axes, finest, levels, offsets):
     """Entries in the row of each direction [n, 3]."""
     counts = np.empty(len(directions), np.int64)
@@ -143,7 +145,7 @@ def count_rows(kind, alpha, accept, directions, axes, finest, levels, offsets):
     return counts
 
 
-@njit(cache=True, parallel=True)
+@kernel(parallel=True)
 def fill_rows(kind, alpha, accept, directions, axes, finest, levels, offsets, total, starts, columns, values):
     """Fill CSR `columns` and `values` of the rows that begin at `starts` [n + 1]."""
     for row in prange(len(directions)):

@@ -6,8 +6,9 @@ The readable definition is `shading.plain`; tests hold this to it, gradients inc
 from __future__ import annotations
 
 import numpy as np
-from numba import get_num_threads, njit, prange
+from numba import get_num_threads, prange
 
+from pipeline.kernels.compiling import kernel
 from pipeline.optics.fresnel import HEMISPHERICAL, HEMISPHERICAL_RANGE
 
 from . import limits, splitsum
@@ -38,7 +39,7 @@ def chunks(points: int) -> int:
     return max(1, min(get_num_threads(), points // _CHUNK))
 
 
-@njit(cache=True, fastmath=MATH, error_model="numpy")
+@kernel(fastmath=MATH, error_model="numpy")
 def texels(dx, dy, dz, size, index, base):
     """Where a direction falls: face, (u, v), 1/major, fractions (s, t) and the four rows of the extended table."""
     ax, ay, az = abs(dx), abs(dy), abs(dz)
@@ -67,7 +68,7 @@ def texels(dx, dy, dz, size, index, base):
     )  # fmt: skip
 
 
-@njit(cache=True, fastmath=MATH, error_model="numpy")
+@kernel(fastmath=MATH, error_model="numpy")
 def fetch(packed, start, where, k):
     """Channel k at a lookup, and its slopes in s and t."""
     _, _, _, _, s, t, a, b, c, d = where
@@ -76,7 +77,7 @@ def fetch(packed, start, where, k):
     return top + (bottom - top) * t, (b - a) * (_ONE - t) + (d - c) * t, bottom - top
 
 
-@njit(cache=True, fastmath=MATH, error_model="numpy")
+@kernel(fastmath=MATH, error_model="numpy")
 def add(packed, start, where, k, value):
     """Adjoint of `fetch` in the table."""
     _, _, _, _, s, t, a, b, c, d = where
@@ -86,7 +87,7 @@ def add(packed, start, where, k, value):
     packed[start + d, k] += value * s * t
 
 
-@njit(cache=True, fastmath=MATH, error_model="numpy")
+@kernel(fastmath=MATH, error_model="numpy")
 def direction_gradient(where, size, gs, gt):
     """Gradient in the direction of gradients in s and t."""
     face, u, v, inverse = where[0], where[1], where[2], where[3]
@@ -101,7 +102,7 @@ def direction_gradient(where, size, gs, gt):
     )
 
 
-@njit(cache=True, fastmath=MATH, error_model="numpy")
+@kernel(fastmath=MATH, error_model="numpy")
 def _surface(c, e):
     """(T, dT/dc, dT/de, beta_d/sin^2, and its slopes): optics.fresnel's forms with derivatives."""
     q = np.sqrt((e - _ONE) * (e + _ONE) + c * c)
@@ -123,7 +124,7 @@ def _surface(c, e):
     return w * p, wc * p + w * pc, we * p + w * pe, body, bc, bE
 
 
-@njit(cache=True, fastmath=MATH, error_model="numpy")
+@kernel(fastmath=MATH, error_model="numpy")
 def _entering(e):
     """Hemispherical transmittance and its slope."""
     x = (e - _CENTRE) / _HALF
@@ -136,7 +137,7 @@ def _entering(e):
     return value, (slope / _HALF if inside else _ZERO)
 
 
-@njit(cache=True, fastmath=MATH, error_model="numpy")
+@kernel(fastmath=MATH, error_model="numpy")
 def _cell(x, size):
     """Lower node and fraction of a grid coordinate, and whether it lies inside."""
     inside = x <= np.float32(size - 1)
@@ -145,7 +146,7 @@ def _cell(x, size):
     return i, x - np.float32(i), _ONE if inside else _ZERO
 
 
-@njit(cache=True, fastmath=MATH, error_model="numpy")
+@kernel(fastmath=MATH, error_model="numpy")
 def _mirror(table, e, r, c, k):
     """Channel k of the split-sum table with its slopes in eta, r and cosine."""
     root = np.sqrt(c)
@@ -168,7 +169,7 @@ def _mirror(table, e, r, c, k):
     )
 
 
-@njit(cache=True, fastmath=MATH, error_model="numpy")
+@kernel(fastmath=MATH, error_model="numpy")
 def level_below(r, nodes):
     """Specular level below a roughness and the fraction towards the next."""
     k = 0
@@ -178,7 +179,7 @@ def level_below(r, nodes):
     return k, (r - nodes[k]) / width, _ONE / width
 
 
-@njit(cache=True, parallel=True, fastmath=MATH, error_model="numpy")
+@kernel(parallel=True, fastmath=MATH, error_model="numpy")
 def forward(
     normal, view, albedo, roughness, ior, frame_x, frame_y, packed, nodes, sizes, starts, index, bases, table,
     shadow, bounced, unblocked, seen, given, turned, stokes, diffuse, specular,
@@ -236,7 +237,7 @@ def forward(
             stokes[p, 2, k] = sin2 * body * d - mirror * turn2
 
 
-@njit(cache=True, parallel=True, fastmath=MATH, error_model="numpy")
+@kernel(parallel=True, fastmath=MATH, error_model="numpy")
 def backward(
     normal, view, albedo, roughness, ior, frame_x, frame_y, packed, nodes, sizes, starts, index, bases, table,
     shadow, bounced, unblocked, seen, given, turned, g_stokes, g_diffuse, g_specular,

@@ -16,9 +16,11 @@ from typing import Any
 
 import numpy as np
 import torch
-from numba import njit, prange
+from numba import prange
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
+
+from pipeline.kernels.compiling import kernel
 
 from .cube import corner_texels, cube_directions, extended_size, texel_of
 
@@ -51,7 +53,7 @@ def representatives(resolution: int) -> tuple[NDArray[np.int64], NDArray[np.int6
     return texels, where
 
 
-@njit(cache=True)
+@kernel
 def _spread(x, images, out):
     for s in range(images.shape[0]):
         for g in range(ORDER):
@@ -59,7 +61,7 @@ def _spread(x, images, out):
                 out[s, 3 * g + c] = x[images[s, g], c]
 
 
-@njit(cache=True)
+@kernel
 def _gather(x, inverse, out):
     """out[s] = sum over g of x[inverse[s, g], g]: the adjoint of `_spread`."""
     for s in range(out.shape[0]):
@@ -72,7 +74,7 @@ def _gather(x, inverse, out):
         out[s, 0], out[s, 1], out[s, 2] = r, g, b
 
 
-@njit(cache=True, parallel=True, fastmath=True)
+@kernel(parallel=True, fastmath=True)
 def _multiply(starts, columns, values, x, out):
     for row in prange(len(starts) - 1):
         total = np.zeros(WIDTH, np.float32)
@@ -83,7 +85,7 @@ def _multiply(starts, columns, values, x, out):
         out[row] = total
 
 
-@njit(cache=True)
+@kernel
 def _collect(y, texel, position, corner, meeting, packed):
     """Output tables from the products: every texel from its orbit's row, every corner from the texels around it."""
     for k in range(len(texel)):
@@ -95,7 +97,7 @@ def _collect(y, texel, position, corner, meeting, packed):
             packed[corner[k], c] = total / np.float32(3)
 
 
-@njit(cache=True)
+@kernel
 def _distribute(packed, texel, position, corner, meeting, y):
     """Adjoint of `_collect`; y zeroed."""
     where = np.empty(len(packed), np.int64)

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
+from numba import prange
 from numpy.typing import NDArray
 
 from pipeline.geometry.cameras import Camera
+from pipeline.kernels.compiling import kernel
 from stages.masks.background import BALL_MARGIN, Fixation, fixation
 from stages.masks.volume import Grid, Projections, stack_padded
 
@@ -73,10 +74,10 @@ def _grown(solid: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return binary_dilation(solid, np.ones((1, 3, 3), bool))
 
 
-@numba.njit(parallel=True, cache=True)
+@kernel(parallel=True)
 def _count(solid, forward, sizes, low, step, against, culprit):
     n = against.shape[0]
-    for plane in numba.prange(n):
+    for plane in prange(n):
         z = low[2] + (plane + 0.5) * step
         for row in range(n):
             y = low[1] + (row + 0.5) * step
@@ -93,7 +94,7 @@ def _count(solid, forward, sizes, low, step, against, culprit):
                             culprit[plane, row, column] = v
 
 
-@numba.njit(cache=True)
+@kernel
 def _explain(solid, back, centres, sizes, low, step, against, culprit, excess, blame):
     n = against.shape[0]
     for v in range(solid.shape[0]):

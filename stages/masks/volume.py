@@ -7,11 +7,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
+from numba import prange
 from numpy.typing import NDArray
 
 from pipeline.geometry.cameras import Camera
+from pipeline.kernels.compiling import kernel
 
 NOTHING = -1e9
 """Score of a ray that misses the grid."""
@@ -73,10 +74,10 @@ def ray_maxima(
     return out
 
 
-@numba.njit(parallel=True, cache=True)
+@kernel(parallel=True)
 def _gather(scores, forward, sizes, low, step, out):
     n = out.shape[0]
-    for plane in numba.prange(n):
+    for plane in prange(n):
         z = low[2] + (plane + 0.5) * step
         for row in range(n):
             y = low[1] + (row + 0.5) * step
@@ -94,11 +95,11 @@ def _gather(scores, forward, sizes, low, step, out):
                 out[plane, row, column] = total
 
 
-@numba.njit(parallel=True, cache=True)
+@kernel(parallel=True)
 def _march(volume, wanted, back, centres, sizes, low, step, out):
     n = volume.shape[0]
     edge = n * step
-    for job in numba.prange(out.shape[0] * out.shape[1]):
+    for job in prange(out.shape[0] * out.shape[1]):
         v, t = job // out.shape[1], job % out.shape[1]
         if t >= sizes[v, 1]:
             continue

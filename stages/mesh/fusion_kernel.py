@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
+
+from pipeline.kernels.compiling import kernel
 
 
-@njit(cache=True, parallel=True, nogil=True)
+@kernel(parallel=True, nogil=True)
 def integrate(
     points,  # [N, 3] float32, world
     distance,  # [N] float32, in truncations; updated

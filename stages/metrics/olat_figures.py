@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.capture.light_stage.folders import home_of
 from pipeline.errors import UserError
 from pipeline.formats.images import read_exr, read_image
 
@@ -48,7 +49,7 @@ def _flat(figures: dict[str, Any]) -> dict[str, Any]:
 
 def _camera(folder: Path, capture: Path) -> Table:
     part = Table()
-    path = capture / folder.name / "gt" / "maps.npz"
+    path = home_of(capture, folder.name) / "gt" / "maps.npz"
     residual = read_exr(folder / "residual.exr")
     flag, sigma = residual["flag"], read_image(folder / "sigma.exr", ("X", "Y"))
     specular = read_image(folder / "specular_albedo.exr", ("Y",))[..., 0]

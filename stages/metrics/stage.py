@@ -21,7 +21,7 @@ def needed(capture: Capture, parameters: MetricsParameters) -> Decision:
 def capture_files(capture: Capture) -> Iterable[Path]:
     """The capture's ground truth."""
     root = capture.root
-    loose = [root / "gt_brdf.json", root / "gt_lp.json", *sorted(root.glob("cam[0-9]*/gt/maps.npz"))]
+    loose = [root / "gt_brdf.json", root / "gt_lp.json", *sorted(root.glob("*/gt/maps.npz"))]
     folder = sorted(p for p in (root / "gt").rglob("*") if p.is_file()) if (root / "gt").is_dir() else []
     return [p for p in loose if p.is_file()] + folder
 

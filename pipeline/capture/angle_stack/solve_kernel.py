@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.kernels.compiling import kernel
 
-@numba.njit(nogil=True, cache=True, fastmath=True)
+
+@kernel(nogil=True, fastmath=True)
 def apply_solver(samples: NDArray[np.float32], solver: NDArray[np.float32], out: NDArray[np.float32]) -> None:
     """out [P, 3, C] = solver [3, n] times samples [n, P, C], the same matrix everywhere."""
     n, pixels, colours = samples.shape
@@ -25,7 +26,7 @@ def apply_solver(samples: NDArray[np.float32], solver: NDArray[np.float32], out:
                 out[p, s, c] = sums[s, p * colours + c]
 
 
-@numba.njit(nogil=True, cache=True)
+@kernel(nogil=True)
 def solve_patterns(
     samples: NDArray[np.float32],
     invalid: NDArray[np.bool_],

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from pipeline.capture.assembly.camera_source import from_colmap
+from pipeline.capture.assembly.camera_source import camera_table
+from pipeline.capture.camera_files.table import CameraTable, cameras_of_views
 from pipeline.capture.config import CaptureConfig
 from pipeline.capture.model import Capture, ViewSource
 from pipeline.capture.naming.files import (
@@ -25,6 +27,16 @@ from pipeline.geometry.cameras import Camera
 PLATES = ("clean_plate", "clean_plates", "background", "backgrounds")
 
 
+@dataclass(frozen=True)
+class Pictures:
+    """The image folder, the files in it that may be views, their cameras where a file tells them, and what to say."""
+
+    folder: Path
+    paths: list[Path]
+    table: CameraTable | None
+    warnings: tuple[str, ...]
+
+
 def assemble(
     root: Path,
     layout: str,
@@ -35,13 +47,21 @@ def assemble(
     cameras: Mapping[str, Camera] | None = None,
     camera_files: tuple[Path, ...] = (),
     facts: tuple[str, ...] = (),
+    table: CameraTable | None = None,
+    look: bool = True,
 ) -> Capture:
-    """The Capture of `views`; without given cameras a COLMAP model beside the images is used. Raises UserError."""
+    """The Capture of `views`; without given `cameras` those of a `table`, which is looked for unless `look` is False.
+
+    Raises UserError.
+    """
     warnings: list[str] = []
-    colmap = None
     if cameras is None:
-        found, colmap, warnings, camera_files = from_colmap(root, views, folder)
-        cameras = found or None
+        if table is None and look:
+            table, warnings = camera_table(root, folder)
+        if table is not None:
+            cameras, more = cameras_of_views(table, views, folder)
+            warnings += more
+            camera_files, facts = table.files, (*facts, f"cameras: {table.title}, {table.path.name}", *table.facts)
     if cameras is not None:
         views = tuple(v for v in views if v.view in cameras)
     views = sorted_views(views)
@@ -53,7 +73,8 @@ def assemble(
     alpha = not masks and bool(views) and all(_has_alpha(v.paths[0]) for v in views)
     return Capture(
         root, layout, "multiview", polarisation, views, environments=environments, config=config, up=config.up or "y",
-        cameras=dict(cameras) if cameras is not None else None, masks=masks or ("alpha" if alpha else None), colmap=colmap,
+        cameras=dict(cameras) if cameras is not None else None, masks=masks or ("alpha" if alpha else None),
+        colmap=table.model if table is not None else None,
         files=(*camera_files, *(p for v in views for p in v.paths), *masks.values(), *plate_files, *environments),
         polarisers=polariser_priors([v.camera for v in views], config, root) if polarisation == "polarisers" else {},
         warnings=tuple(warnings + more), facts=facts, clean_plates=plates,

@@ -1,20 +1,107 @@
-"""Cameras for a set of views from whatever lies beside them: a COLMAP model, or IDR-style cameras.npz."""
+"""Cameras for a set of views from whatever lies beside them: a COLMAP model, or another program's camera file."""
 
 from __future__ import annotations
 
 import zipfile
 from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.capture.camera_files import bundler, llff, metashape, middlebury
+from pipeline.capture.camera_files.table import CameraTable, Size, cameras_of_views, entries_in_order
+from pipeline.capture.camera_files.unread import unread
 from pipeline.capture.model import ViewSource
-from pipeline.capture.naming.files import count, some
+from pipeline.capture.naming.files import IMAGE_FOLDERS, UNDISTORTED, count
 from pipeline.errors import UserError
-from pipeline.formats.colmap import find_model, model_files, read_model
+from pipeline.formats.colmap import find_models, model_files, read_model, registered_images
 from pipeline.geometry.cameras import Camera
+
+IDR = ("cameras_sphere.npz", "cameras.npz", "cameras_large.npz", "cameras_*.npz")
+"""NeuS' and IDR's names; those of one capture differ in scale_mat alone, which is not used."""
+
+
+def camera_table(root: Path, folder: Path) -> tuple[CameraTable | None, list[str]]:
+    """The cameras that lie beside the images in `folder` of the capture `root`, and what to tell of others.
+
+    Looked for beside the images, above them up to the capture, and one folder below it. Raises UserError.
+    """
+    near = _around(root, folder)
+    found = [t for t in (_colmap(near, root, folder), *_other_tables(near)) if t is not None]
+    if not found:
+        return None, unread(near) + _one_folder_up(root)
+    first, others = found[0], found[1:]
+    facts = tuple(f"cameras of {first.path.name} are used; {t.path} is not" for t in others)
+    return replace(first, facts=(*first.facts, *facts)), []
+
+
+def _around(root: Path, folder: Path) -> list[Path]:
+    """Folders in which a camera file may lie: from the images' up to the capture's, then those one below it."""
+    above = [p for p in (folder, *folder.parents) if p == root or p.is_relative_to(root)]
+    hidden = ("gt", "masks", "mask", "envmaps")
+    below = [p for p in sorted(root.iterdir()) if p.is_dir() and not p.name.startswith(".") and p.name not in hidden]
+    return list(dict.fromkeys([*above, *below]))
+
+
+def _one_folder_up(root: Path) -> list[str]:
+    """Cameras beside a folder of images that was given alone are named, not read: they lie outside the capture."""
+    names = ("transforms.json", "transforms_train.json", "sparse", "cameras_sphere.npz", "poses_bounds.npy")
+    found = next((root.parent / n for n in names if root.name in IMAGE_FOLDERS and (root.parent / n).exists()), None)
+    if found is None:
+        return []
+    return [f"{found}: lies outside the capture and is not read; give CAPTURE={root.parent} to use its cameras"]
+
+
+def _colmap(near: list[Path], root: Path, folder: Path) -> CameraTable | None:
+    """The largest of the COLMAP models nearest to the images."""
+    models = next((found for place in _model_places(near, root, folder) if (found := find_models(place))), [])
+    if not models:
+        return None
+    place = models[0]
+    model = read_model(place)
+    if any(p.name in UNDISTORTED for p in folder.parents if p != root and p.is_relative_to(root)):
+        _refuse_undistorted_twice(place, folder, model.cameras)
+    names = tuple(model.cameras)
+    warnings = []
+    rest = [m for m in models[1:] if m.parent == place.parent]
+    if rest:
+        sizes = ", ".join(f"{m.relative_to(root).as_posix()} with {registered_images(m)}" for m in rest)
+        warnings.append(
+            f"{place}: this model of {count(names, 'image')} is used and {sizes} left out: "
+            "each has a world of its own; for the rest, find all cameras in one model"
+        )
+    cameras = list(model.cameras.values())
+    return CameraTable(
+        place, "COLMAP", names, len(names), lambda i, _: cameras[i], model_files(place), model=place, warnings=tuple(warnings)
+    )
+
+
+def _model_places(near: list[Path], root: Path, folder: Path) -> list[Path]:
+    """Where a model of these images may lie: with images below dense/ first the one that was written with them."""
+    beside = [p for p in (folder, *folder.parents) if p != root and p.is_relative_to(root)]
+    below = [p for p in near if p not in beside and p != root]
+    return [*beside, root, *below]
+
+
+def _refuse_undistorted_twice(place: Path, folder: Path, cameras: Mapping[str, Camera]) -> None:
+    if not place.is_relative_to(folder.parent) and any(any(c.distortion) for c in cameras.values()):
+        fault = f"holds undistorted images, but the model {place} has lens distortion and was not written with them"
+        raise UserError(folder, fault, f"add the model that was ({folder.parent / 'sparse'}), or give the original images")
+
+
+def _other_tables(near: list[Path]) -> list[CameraTable]:
+    """Tables of other programs, one of each kind."""
+    found: list[CameraTable] = []
+    npz = next((p for folder in near for pattern in IDR for p in sorted(folder.glob(pattern)) if is_idr(p)), None)
+    if npz is not None:
+        found.append(idr_table(npz))
+    for reader in (metashape, middlebury, bundler, llff):
+        path = reader.find(near)
+        if path is not None:
+            found.append(reader.read(path))
+    return found
 
 
 def from_colmap(
@@ -22,90 +109,53 @@ def from_colmap(
 ) -> tuple[dict[str, Camera], Path | None, list[str], tuple[Path, ...]]:
     """Cameras by VIEW of a COLMAP model beside the images: (cameras, model folder, warnings, files read).
 
-    Empty without a model. Names match by path, by VIEW, or by the file's own name where that is unique.
+    Empty without a model. Names match by the longest common end of the path.
     """
-    place = find_model(root)
-    if place is None:
+    table = _colmap([folder, root], root, folder)
+    if table is None:
         return {}, None, [], ()
-    model = read_model(place)
-    by_name: dict[str, Camera] = {}
-    bare: dict[str, list[Camera]] = {}
-    for name, camera in model.cameras.items():
-        stem = PurePosixPath(name).with_suffix("").as_posix() if PurePosixPath(name).suffix else name
-        by_name[stem] = camera
-        bare.setdefault(PurePosixPath(stem).name, []).append(camera)
-    cameras: dict[str, Camera] = {}
-    missing: list[str] = []
-    for view in views:
-        found: Camera | None = None
-        for path in view.paths:
-            stem = path.relative_to(folder).with_suffix("").as_posix()
-            alone = bare.get(path.stem, [])
-            found = found or by_name.get(stem) or (alone[0] if len(alone) == 1 else None)
-        found = found or by_name.get(view.view)
-        if found is None:
-            missing.append(view.view)
-            continue
-        if view.size is not None and (found.width, found.height) != view.size:
-            if not _same_shape(found, view.size):
-                have, want = f"{view.size[0]}x{view.size[1]}", f"{found.width}x{found.height}"
-                raise UserError(
-                    view.paths[0], f"is {have}, its COLMAP camera {want}", "use the images that COLMAP saw, unrotated"
-                )
-            found = found.resized(*view.size)
-        cameras[view.view] = replace(found, name=view.camera)
-    if not cameras:
-        raise UserError(
-            place, f"none of its images is here (first: {next(iter(model.cameras))})", "give the images COLMAP's names"
-        )
-    warnings = []
-    if missing:
-        warnings.append(f"{place}: no camera for {count(missing, 'view')} ({some(missing)}); left out")
-    spare = len(model.cameras) - len(cameras)
-    if spare > 0:
-        warnings.append(f"{place}: no image for {spare} of its cameras; left out")
-    return cameras, place, warnings, model_files(place)
+    cameras, warnings = cameras_of_views(table, views, folder)
+    return cameras, table.model, warnings, table.files
 
 
-def _same_shape(camera: Camera, size: tuple[int, int]) -> bool:
-    """Whether `size` is the camera's frame scaled, to a pixel."""
-    return abs(camera.width * size[1] - camera.height * size[0]) <= max(camera.width, camera.height)
+def is_idr(path: Path) -> bool:
+    """Whether an archive holds world_mat_i (a name check; a damaged one is left to its reader)."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return any(name.startswith("world_mat_") for name in archive.namelist())
+    except (OSError, zipfile.BadZipFile):
+        return path.name in IDR
 
 
-def from_idr(path: Path, views: list[str], sizes: Mapping[str, tuple[int, int]]) -> dict[str, Camera]:
-    """Cameras of cameras.npz (`world_mat_i` = K [R t], projecting to pixels; i counts the sorted views).
+def idr_table(path: Path) -> CameraTable:
+    """cameras.npz of IDR, NeuS and PANDORA: `world_mat_i` = K [R t], projecting to pixels; i counts the sorted views.
 
     World units are those of world_mat; scale_mat, which maps a unit sphere to the object, is left to those who need it.
     Pixel centres are taken at +0.5. Raises UserError.
     """
     try:
         with np.load(path) as archive:
-            table = {name: np.asarray(archive[name], float) for name in archive.files}
+            table = {name: np.asarray(archive[name], float) for name in archive.files if name.startswith("world_mat_")}
     except (OSError, ValueError, zipfile.BadZipFile, EOFError) as error:
         raise UserError(path, f"cannot be read ({error})", "copy it again from its source") from None
-    numbers = sorted(int(k.rsplit("_", 1)[1]) for k in table if k.startswith("world_mat_") and k.rsplit("_", 1)[1].isdigit())
+    numbers = tuple(sorted(int(end) for k in table if (end := k.rsplit("_", 1)[1]).isdigit()))
     if not numbers:
         raise UserError(path, "has no world_mat_0, world_mat_1, ...", "write the file as IDR, NeuS and PANDORA do")
-    index = _index_of(views, numbers, path)
-    cameras = {}
-    for view, i in index.items():
-        matrix = table[f"world_mat_{i}"]
+
+    def camera(index: int, size: Size) -> Camera:
+        matrix = table[f"world_mat_{numbers[index]}"]
         if matrix.shape not in ((4, 4), (3, 4)) or not np.isfinite(matrix).all():
-            raise UserError(path, f"world_mat_{i} is not a finite 4x4 matrix", "export the cameras again")
+            raise UserError(path, f"world_mat_{numbers[index]} is not a finite 4x4 matrix", "export the cameras again")
         k, pose = decompose(matrix[:3])
-        w, h = sizes[view]
-        cameras[view] = Camera(w, h, k[0, 0], k[1, 1], k[0, 2], k[1, 2], pose)
-    return cameras
+        return Camera(*size, k[0, 0], k[1, 1], k[0, 2], k[1, 2], pose)
+
+    return CameraTable(path, path.name, None, len(numbers), camera, (path,), numbers)
 
 
-def _index_of(views: list[str], numbers: list[int], path: Path) -> dict[str, int]:
-    """Which world_mat belongs to which view: in sorted order, or by number where counts differ."""
-    if len(views) == len(numbers):
-        return dict(zip(sorted(views), numbers))
-    digits = {view: "".join(c for c in view if c.isdigit()) for view in views}
-    if all(d and int(d) in numbers for d in digits.values()) and len({int(d) for d in digits.values()}) == len(views):
-        return {view: int(d) for view, d in digits.items()}
-    raise UserError(path, f"holds {count(numbers, 'camera')} for {count(views, 'view')}", "give each view its world_mat")
+def from_idr(path: Path, views: list[str], sizes: Mapping[str, tuple[int, int]]) -> dict[str, Camera]:
+    """Cameras of a cameras.npz (see `idr_table`) by VIEW: in sorted order, or by number where counts differ."""
+    table = idr_table(path)
+    return {view: table.camera(i, sizes[view]) for view, i in entries_in_order(table, views).items()}
 
 
 def decompose(projection: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,12 +13,14 @@ from pipeline.capture.angle_stack.solve import design_covariance, polariser_desi
 from pipeline.capture.config import CaptureConfig
 from pipeline.capture.model import DecodedView, ViewSource
 from pipeline.capture.mosaic.order import order_fault
-from pipeline.capture.mosaic.sensor_files import is_mosaic, mosaic_colour, read_mosaic
+from pipeline.capture.mosaic.sensor_files import mosaic_colour, read_mosaic
 from pipeline.capture.naming.files import RAW_SUFFIXES, refuse_duplicates
-from pipeline.capture.naming.grouping import Group, group_files
+from pipeline.capture.naming.grouping import Group, group_and_rest
 from pipeline.capture.pixels.brackets import read_exposures
 from pipeline.capture.pixels.stokes_files import finished, holds_stokes, is_verbatim, mended, stokes_exr_loader
 from pipeline.capture.pixels.stokes_frame import apply_stokes_config
+from pipeline.capture.recognition.mosaic_set import STRAYS, mosaic_set
+from pipeline.capture.recognition.strangers import left_out_line
 from pipeline.errors import UserError
 from pipeline.formats.images import channel_names, image_size
 
@@ -29,40 +31,73 @@ Camera_of = Callable[[Group], str]
 
 @dataclass(frozen=True)
 class Sources:
-    """The views of a set of files; `kind` is "stokes_files", "stack", "mosaic" or "colour"; facts for the user."""
+    """The views of a set of files; `kind` is "stokes_files", "stack", "mosaic" or "colour"; facts for the user.
+
+    unnamed: files of views that the camera table does not name; warnings: files that are no views, and why.
+    """
 
     kind: str
     views: tuple[ViewSource, ...]
     groups: tuple[Group, ...]
     facts: tuple[str, ...] = ()
+    unnamed: tuple[Path, ...] = ()
+    warnings: tuple[str, ...] = ()
 
     @property
     def holds_stokes(self) -> bool:
         return self.kind != "colour"
 
 
-def discover(paths: list[Path], folder: Path, config: CaptureConfig, camera_of: Camera_of, kind: str | None = None) -> Sources:
+def discover(
+    paths: list[Path],
+    folder: Path,
+    config: CaptureConfig,
+    camera_of: Camera_of,
+    kind: str | None = None,
+    is_named: Callable[[Group], bool] | None = None,
+) -> Sources:
     """Views of the image files `paths` below `folder`. Raises UserError on names that clash or files that cannot mix.
 
-    `kind` forces the understanding ("mosaic", "stack", "colour") where a layout or capture.toml says so.
+    `kind` forces the understanding ("mosaic", "stack", "colour") where a layout or capture.toml says so. `is_named` tells
+    whether a camera table names a view: the others are left out before pixels are looked at.
     """
+    wanted = kind in (None, "stack") and not _any_stokes(paths)
+    groups, rest = group_and_rest(paths, folder, config, stacks=wanted)
+    warnings = [left_out_line(rest, "part of no angle stack")] if rest else []
+    unnamed: tuple[Path, ...] = ()
+    if is_named is not None and any(is_named(g) for g in groups):
+        unnamed = tuple(g.paths[0] for g in groups if not is_named(g))
+        groups = [g for g in groups if is_named(g)]
+    found = _understood(groups, folder, config, camera_of, kind)
+    return replace(found, unnamed=unnamed, warnings=(*warnings, *found.warnings))
+
+
+def _any_stokes(paths: list[Path]) -> bool:
+    return any(p.suffix.lower() == ".exr" and holds_stokes(channel_names(p)) for p in paths)
+
+
+def _understood(groups: list[Group], folder: Path, config: CaptureConfig, camera_of: Camera_of, kind: str | None) -> Sources:
+    paths = [p for g in groups for p in g.paths]
     stokes = [p for p in paths if p.suffix.lower() == ".exr" and holds_stokes(channel_names(p))]
     if stokes:
         odd = sorted(set(paths) - set(stokes))
         if odd:
             raise UserError(odd[0], f"holds no Stokes channels while {len(stokes)} other images do", "export every image alike")
-        groups = group_files(paths, folder, config, stacks=False)
         views = tuple(
             ViewSource(g.view, g.paths, camera_of(g), stokes_exr_loader(g.paths[0], config), image_size(g.paths[0]))
             for g in groups
         )
         refuse_duplicates((g.view, p) for g in groups for p in g.paths)
         return Sources("stokes_files", views, tuple(groups))
-    groups = group_files(paths, folder, config, stacks=kind in (None, "stack"))
     _refuse_clashes(groups, folder)
     if any(g.is_stack for g in groups):
         return _stacks(groups, config, camera_of)
-    if kind == "mosaic" or (kind is None and is_mosaic([g.paths[0] for g in groups], config)):
+    chosen = mosaic_set([g.paths[0] for g in groups], config) if kind in (None, "mosaic") else None
+    if chosen is not None:
+        kept = [g for g in groups if g.paths[0] in set(chosen.mosaics)]
+        told = (left_out_line(chosen.others, STRAYS),) if chosen.others else ()
+        return replace(_mosaics(kept, config, camera_of), warnings=told)
+    if kind == "mosaic":
         return _mosaics(groups, config, camera_of)
     views = tuple(ViewSource(g.view, g.paths, camera_of(g), _colour_loader(g, config), size_of(g.paths[0])) for g in groups)
     return Sources("colour", views, tuple(groups))

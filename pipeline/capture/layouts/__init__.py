@@ -20,6 +20,7 @@ MODULES = (
     "rmvp3d",
     "smvp3d",
     "transforms",
+    "one_light_a_picture",
     "two_camera",
     "angle_stack",
     "mosaic",

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from pipeline.capture.assembly.assemble import assemble
-from pipeline.capture.assembly.sources import discover
 from pipeline.capture.config import CaptureConfig, load_config
 from pipeline.capture.layouts import Layout
-from pipeline.capture.layouts.photographs import pictures
+from pipeline.capture.layouts.photographs import pictures, read_as
 from pipeline.capture.layouts.photographs import recognise as has_pictures
 from pipeline.capture.model import Capture
-from pipeline.capture.naming.files import image_folder, list_images
 from pipeline.capture.naming.grouping import group_files
 from pipeline.errors import UserError
 
@@ -19,24 +16,28 @@ from pipeline.errors import UserError
 def recognise(root: Path) -> bool:
     if not has_pictures(root):
         return False
-    folder = image_folder(root)
     config = load_config(root)
+    if config.stack.angles_deg:
+        return True
     try:
-        paths = pictures(root)[1] if folder == root else list_images(folder)
+        found = pictures(root, config)
     except UserError:  # nothing readable: the last layout says so
         return False
-    return bool(paths) and any(g.is_stack for g in group_files(paths, folder, config))
+    try:
+        return any(g.is_stack for g in group_files(found.paths, found.folder, config))
+    except UserError:  # about as many files fit as do not: the reader says so
+        return True
 
 
 def read(root: Path, config: CaptureConfig) -> Capture:
     """Open the capture; Stokes vectors come from weighted least squares over the angles."""
-    folder, paths = pictures(root)
-    sources = discover(paths, folder, config, lambda _: "camera", kind="stack")
-    if sources.kind != "stack":
+    capture = read_as(root, config, "angle_stack", "stack")
+    if not any(fact.startswith("stacks") for fact in capture.facts):
+        folder = capture.views[0].paths[0].parent
         raise UserError(
             folder, "its names tell no polariser angles", "name files VIEW_000, VIEW_045, ... or set [stack] angles_deg"
         )
-    return assemble(root, "angle_stack", config, folder, sources.views, "stokes", facts=sources.facts)
+    return capture
 
 
 LAYOUT = Layout("angle_stack", "images/VIEW_000.png, VIEW_045.png, ... (any three or more angles)", recognise, read)

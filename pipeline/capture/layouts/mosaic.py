@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from pipeline.capture.assembly.assemble import assemble
-from pipeline.capture.assembly.sources import discover
-from pipeline.capture.config import CaptureConfig, load_config
+from pipeline.capture.config import CaptureConfig, MosaicConfig, load_config
 from pipeline.capture.layouts import Layout
-from pipeline.capture.layouts.photographs import pictures
+from pipeline.capture.layouts.photographs import pictures, read_as
 from pipeline.capture.layouts.photographs import recognise as has_pictures
 from pipeline.capture.model import Capture
-from pipeline.capture.mosaic.sensor_files import is_mosaic
+from pipeline.capture.recognition.mosaic_set import mosaic_set
 from pipeline.errors import UserError
 
 
@@ -19,18 +17,17 @@ def recognise(root: Path) -> bool:
     if not has_pictures(root):
         return False
     config = load_config(root)
+    if config.mosaic != MosaicConfig():
+        return True
     try:
-        _, paths = pictures(root)
-        return is_mosaic(paths, config)
+        return mosaic_set(pictures(root, config).paths, config) is not None
     except UserError:  # an unreadable file: the reader that takes the folder says so
         return False
 
 
 def read(root: Path, config: CaptureConfig) -> Capture:
     """Open the capture."""
-    folder, paths = pictures(root)
-    sources = discover(paths, folder, config, lambda _: "camera", kind="mosaic")
-    return assemble(root, "mosaic", config, folder, sources.views, "stokes", facts=sources.facts)
+    return read_as(root, config, "mosaic", "mosaic")
 
 
 LAYOUT = Layout("mosaic", "images/ with single-channel 2x2 polariser mosaics (PNG, TIFF or raw)", recognise, read)

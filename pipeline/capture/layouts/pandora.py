@@ -28,7 +28,7 @@ RADIANCE = np.float32(0.5)
 
 def recognise(root: Path) -> bool:
     folder = root / FOLDER
-    return folder.is_dir() and any(p.stem.endswith("_s0") and p.suffix.lower() in FLOAT_SUFFIXES for p in folder.iterdir())
+    return folder.is_dir() and any(p.suffix.lower() in FLOAT_SUFFIXES for p in folder.glob("[!.]*_s0.*"))
 
 
 def read(root: Path, config: CaptureConfig) -> Capture:
@@ -37,7 +37,7 @@ def read(root: Path, config: CaptureConfig) -> Capture:
     found: dict[str, dict[str, Path]] = {}
     for path in sorted(folder.iterdir()):
         name, _, part = path.stem.rpartition("_")
-        if path.suffix.lower() in FLOAT_SUFFIXES and part in PARTS:
+        if path.suffix.lower() in FLOAT_SUFFIXES and part in PARTS and not path.name.startswith("."):
             found.setdefault(name, {})[part] = path
     views = []
     for name, parts in sorted(found.items()):

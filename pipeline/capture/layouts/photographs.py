@@ -2,15 +2,30 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
-from pipeline.capture.assembly.assemble import assemble, folder_camera, outside_images
-from pipeline.capture.assembly.sources import discover
+from pipeline.capture.assembly.assemble import PLATES, Pictures, assemble, folder_camera, outside_images
+from pipeline.capture.assembly.camera_source import camera_table
+from pipeline.capture.assembly.sources import Sources, discover
+from pipeline.capture.camera_files.table import stem_parts
 from pipeline.capture.config import CaptureConfig
 from pipeline.capture.layouts import Layout
 from pipeline.capture.model import Capture
-from pipeline.capture.naming.files import IMAGE_SUFFIXES, UNREADABLE, has_images, image_folder, list_images
+from pipeline.capture.naming.files import (
+    IMAGE_SUFFIXES,
+    RAW_SUFFIXES,
+    UNREADABLE,
+    count,
+    has_images,
+    image_folder,
+    list_images,
+    some,
+)
+from pipeline.capture.naming.grouping import Group
+from pipeline.capture.recognition.one_framing import changes_light
+from pipeline.capture.recognition.strangers import sort_out
 from pipeline.errors import UserError
 
 
@@ -22,30 +37,82 @@ def loose_images(root: Path) -> list[Path]:
     """Image files that lie in the capture's folder itself."""
     wanted = set(IMAGE_SUFFIXES) | set(UNREADABLE)
     return sorted(
-        p for p in root.iterdir() if p.is_file() and p.suffix.lower() in wanted and not p.stem.startswith("clean_plate")
+        p for p in root.iterdir() if p.suffix.lower() in wanted and not p.name.startswith((".", "clean_plate")) and p.is_file()
     )
 
 
-def pictures(root: Path) -> tuple[Path, list[Path]]:
-    """The image folder and its files. Raises UserError where every file is of a kind that nobody can read."""
+def pictures(root: Path, config: CaptureConfig) -> Pictures:
+    """The image folder, its files that may be views, and the cameras beside them.
+
+    Raises UserError where every file is of a kind that nobody can read, or a camera file is damaged.
+    """
     folder = image_folder(root)
-    paths = (
-        list_images(folder)
-        if folder != root
-        else [p for p in list_images(root) if not any(outside_images(q) for q in p.parents)]
-    )
-    if not paths:
+    found = list_images(folder)
+    if folder == root:
+        plate = root / config.clean_plate if config.clean_plate else None
+        found = [p for p in found if not _aside(p, root) and p != plate and plate not in p.parents]
+    if not found:
         raise UserError(folder, "holds no image", "copy the photographs into it")
-    return folder, paths
+    table, told = camera_table(root, folder)
+    stems = {stem_parts(name)[-1] for name in table.names if stem_parts(name)} if table is not None and table.names else set()
+    chosen = sort_out(found, folder, stems)
+    return Pictures(folder, chosen.kept, table, (*chosen.warnings(), *told, *_raw_twins(root, folder, chosen.kept)))
+
+
+def _raw_twins(root: Path, folder: Path, kept: list[Path]) -> list[str]:
+    """A line where the camera's raw files lie in another folder than the pictures that are used."""
+    other = root / "raw"
+    if other == folder or not other.is_dir() or any(p.suffix.lower() in RAW_SUFFIXES for p in kept):
+        return []
+    stems = {p.stem.lower() for p in list_images(other, RAW_SUFFIXES)} & {p.stem.lower() for p in kept}
+    if not stems:
+        return []
+    told = f"{other}: {count(stems, 'camera raw file')} of the pictures in {folder.name}/ are not used"
+    return [f"{told}; for linear light move them into {folder.name}/ (their JPEGs are then left out)"]
+
+
+def _aside(path: Path, root: Path) -> bool:
+    """Whether a file below a capture without image folder lies where no views do, or is a clean plate."""
+    return path.stem in PLATES or any(outside_images(p) for p in path.parents if p != root and p.is_relative_to(root))
 
 
 def read(root: Path, config: CaptureConfig) -> Capture:
     """Open a folder of photographs."""
-    folder, paths = pictures(root)
-    sources = discover(paths, folder, config, lambda g: folder_camera(g.paths, folder, config), kind="colour")
+    return read_as(root, config, "photographs", "colour")
+
+
+def read_as(root: Path, config: CaptureConfig, layout: str, kind: str) -> Capture:
+    """Open a folder of images understood as one `kind` ("colour", "stack" or "mosaic"), with the cameras beside them."""
+    found = pictures(root, config)
+    table, folder = found.table, found.folder
+
+    def camera_of(group: Group) -> str:
+        return folder_camera(group.paths, folder, config) if kind == "colour" else "camera"
+
+    named = None if table is None else (lambda group: table.named(group, folder))
+    sources = discover(found.paths, folder, config, camera_of, kind, named)
+    if table is None and config.layout is None and not config.polarisers:
+        _refuse_one_framing(sources, folder)
     polarisation: Literal["stokes", "polarisers", "none"]
     polarisation = "stokes" if sources.holds_stokes else "polarisers" if config.polarisers else "none"
-    return assemble(root, "photographs", config, folder, sources.views, polarisation, facts=sources.facts)
+    capture = assemble(root, layout, config, folder, sources.views, polarisation, facts=sources.facts, table=table, look=False)
+    warnings = [*found.warnings, *sources.warnings, *capture.warnings]
+    if sources.unnamed and table is not None:
+        names = f"{count(sources.unnamed, 'view')} ({some(p.name for p in sources.unnamed)})"
+        warnings.append(f"{table.path}: no camera for {names}; left out")
+    return replace(capture, warnings=tuple(warnings))
+
+
+def _refuse_one_framing(sources: Sources, folder: Path) -> None:
+    """Pictures of one framing under changing light are no views: cameras would be looked for in vain."""
+    pictures_ = [group.paths[0] for group in sources.groups]
+    if changes_light(pictures_):
+        fault = f"its {len(pictures_)} pictures show one framing under changing light: lights of a light stage, no views"
+        remedy = (
+            "a light stage needs camNN/cross and camNN/parallel frames, cameras/cameraNN.txt and a light table "
+            '(docs/light_stage.md); if they are views, say layout = "photographs" in capture.toml'
+        )
+        raise UserError(folder, fault, remedy)
 
 
 LAYOUT = Layout("photographs", "images/ with photographs or camera raw files, a COLMAP model if there is one", recognise, read)

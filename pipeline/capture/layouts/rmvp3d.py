@@ -24,13 +24,13 @@ RADIANCE = np.float32(0.5)
 
 
 def recognise(root: Path) -> bool:
-    return (root / FOLDER).is_dir() and any((root / FOLDER).glob("*.npz"))
+    return (root / FOLDER).is_dir() and any((root / FOLDER).glob("[!.]*.npz"))
 
 
 def read(root: Path, config: CaptureConfig) -> Capture:
     """Open the capture. Raises UserError."""
     folder = root / FOLDER
-    paths = sorted(folder.glob("*.npz"))
+    paths = sorted(folder.glob("[!.]*.npz"))
     views = tuple(ViewSource(p.stem, (p,), "camera", _loader(p, config), array_size(p, "S0")) for p in paths)
     sizes = {v.view: v.size or (0, 0) for v in views}
     has_cameras = (root / CAMERAS).is_file()

@@ -23,13 +23,13 @@ RADIANCE = np.float32(0.5)
 
 
 def recognise(root: Path) -> bool:
-    return all((root / f).is_dir() and any((root / f).glob("*.npy")) for f in FOLDERS)
+    return all((root / f).is_dir() and any((root / f).glob("[!.]*.npy")) for f in FOLDERS)
 
 
 def read(root: Path, config: CaptureConfig) -> Capture:
     """Open the capture. Raises UserError naming a missing part."""
     views = []
-    for path in sorted((root / "s0").glob("*.npy")):
+    for path in sorted((root / "s0").glob("[!.]*.npy")):
         paths = tuple(root / f / path.name for f in FOLDERS)
         missing = [p for p in paths if not p.is_file()]
         if missing:

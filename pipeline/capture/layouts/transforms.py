@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 from pipeline.capture.assembly.assemble import find_plates
 from pipeline.capture.assembly.sources import discover
+from pipeline.capture.camera_files.nerf_tables import FILE, NerfFrame, captures_below, held_out, load_frames, table_files
 from pipeline.capture.config import CaptureConfig
 from pipeline.capture.layouts import Layout
 from pipeline.capture.model import Capture, ViewSource
@@ -25,106 +26,127 @@ from pipeline.capture.naming.files import (
     sorted_views,
 )
 from pipeline.capture.naming.grouping import Group
+from pipeline.capture.recognition.strangers import sort_out
 from pipeline.errors import UserError
 from pipeline.formats.images import channel_names, image_size
 from pipeline.geometry.cameras import Camera, camera_from_frame
 
-FILE = "transforms.json"
 DEFAULT_CAMERA = "camera"
 MISPLACED = "put the images where file_path says"
 
 
 def recognise(root: Path) -> bool:
-    return (root / FILE).exists()
+    return bool(table_files(root) or captures_below(root))
 
 
 def read(root: Path, config: CaptureConfig) -> Capture:
     """Open the capture; matrices are camera-to-world with OpenGL axes. A frame may name a picture, a mosaic, a raw file,
     or the view that a stack's files begin with."""
-    table = load_table(root / FILE)
-    warnings: list[str] = []
-    folder, paths = pictures_of(root, table["frames"])
-    frame_of = frames_by_view(root, folder, table["frames"])
+    files = table_files(root)
+    if not files:
+        several = ", ".join(f"{p.name}/" for p in captures_below(root))
+        raise UserError(root, f"holds several captures ({several})", "give one of these folders as CAPTURE=")
+    frames = load_frames(files)
+    where = files[0]
+    folder, paths, warnings = pictures_of(root, frames)
+    frame_of = frames_by_view(folder, frames)
 
     def camera_of(group: Group) -> str:
         frame = frame_for(group, folder, frame_of)
-        return DEFAULT_CAMERA if frame is None else physical_camera(frame, group.paths[0], folder, config)
+        return DEFAULT_CAMERA if frame is None else physical_camera(frame.told, group.paths[0], folder, config)
 
-    sources = discover(paths, folder, config, camera_of)
+    def is_named(group: Group) -> bool:
+        return frame_for(group, folder, frame_of) is not None
+
+    sources = discover(paths, folder, config, camera_of, is_named=is_named)
     if sources.kind == "stack" and any(_moves(g, folder, frame_of) for g in sources.groups):
-        sources = discover(paths, folder, config, camera_of, kind="colour")  # names like angles, but each its own pose
+        # names like angles, but each its own pose
+        sources = discover(paths, folder, config, camera_of, kind="colour", is_named=is_named)
     cameras: dict[str, Camera] = {}
     masks: dict[str, Path] = {}
     views: list[ViewSource] = []
-    spare, used = [], set()
+    parts: dict[str, str] = {}
+    spare, used = [p.name for p in sources.unnamed], set()
     for view, group in zip(sources.views, sources.groups):
         frame = frame_for(group, folder, frame_of)
         if frame is None:
             spare.append(group.paths[0].name)
             continue
         used.add(id(frame))
-        cameras[view.view] = camera_of_view(frame, table, view, root)
+        cameras[view.view] = camera_of_view(frame.told, frame.table, view, frame.where)
         views.append(view)
-        if frame.get("mask_path"):
-            masks[view.view] = root / frame["mask_path"]
-    missing = [
-        f["file_path"] for f in table["frames"] if id(f) not in used and not _same_view_used(f, root, folder, frame_of, used)
-    ]
+        parts[view.view] = frame.part
+        if frame.told.get("mask_path"):
+            masks[view.view] = mask_of(frame)
+    missing = [f.told["file_path"] for f in frames if id(f) not in used and not (f.path.is_file() and used)]
     if not views:
-        raise UserError(root / FILE, f"none of its {len(table['frames'])} images is there (first: {missing[0]})", MISPLACED)
+        raise UserError(where, f"none of its {len(frames)} images is there (first: {frames[0].told['file_path']})", MISPLACED)
+    warnings += sources.warnings
     if missing:
-        warnings.append(f"{root / FILE}: no image for {count(missing, 'camera')} ({some(missing)}); left out")
+        warnings.append(f"{where}: no image for {count(missing, 'camera')} ({some(missing)}); left out")
     if spare:
-        warnings.append(f"{root / FILE}: no camera for {count(spare, 'image')} ({some(spare)}); left out")
+        warnings.append(f"{where}: no camera for {count(spare, 'image')} ({some(spare)}); left out")
     if not masks:
         masks, more = find_masks(root, {v.view: v.paths[0] for v in views}, folder)
         warnings += more
     for mask in masks.values():
         if not mask.is_file():
-            raise UserError(mask, f"named in {FILE} but not there", "add it or remove its mask_path")
+            raise UserError(mask, f"named in {where.name} but not there", "add it or remove its mask_path")
     check_masks(masks, lambda view: (cameras[view].width, cameras[view].height))
-    told = bool(config.polarisers) or any("camera" in frame for frame in table["frames"])
+    told = bool(config.polarisers) or any("camera" in frame.told for frame in frames)
     kind: Literal["stokes", "polarisers", "none"] = "stokes" if sources.holds_stokes else "polarisers" if told else "none"
     plates, plate_files = find_plates(root, config, tuple(views))
     environments = find_environments(root)
     alpha = not masks and all_have_alpha([v.paths[0] for v in views])
     name = {"stokes_files": "stokes_transforms", "colour": f"{'polarisers' if told else 'rgb'}_transforms"}
+    told_by = "cameras: " + ", ".join(_below(p, root) for p in files)
+    facts = sources.facts if files == [root / FILE] else (*sources.facts, told_by)
     return Capture(
         root, name.get(sources.kind, f"{sources.kind}_transforms"), "multiview", kind, sorted_views(views),
-        environments=environments, config=config, up=config.up or "y", cameras=cameras,
-        masks=masks or ("alpha" if alpha else None), warnings=tuple(warnings), facts=sources.facts, clean_plates=plates,
+        environments=environments, config=config, up=config.up or "y", cameras=cameras, parts=held_out(parts),
+        masks=masks or ("alpha" if alpha else None), warnings=tuple(warnings), facts=facts, clean_plates=plates,
         polarisers=polariser_priors([v.camera for v in views], config, root) if kind == "polarisers" else {},
-        files=(root / FILE, *(p for v in views for p in v.paths), *masks.values(), *plate_files, *environments),
+        files=(*files, *(p for v in views for p in v.paths), *masks.values(), *plate_files, *environments),
     )  # fmt: skip
 
 
-def pictures_of(root: Path, frames: list[dict[str, Any]]) -> tuple[Path, list[Path]]:
-    """The folder that VIEW names are relative to, and the image files in question."""
-    named = [existing(root / frame["file_path"]) for frame in frames]
-    for path in named:
-        if path.suffix.lower() in UNREADABLE:
-            raise UserError(path, "cannot be read", UNREADABLE[path.suffix.lower()])
-    folder = common_folder(root, named)
-    there = [p for p in dict.fromkeys(named) if p.is_file()]
-    if folder == root or not folder.is_dir():
-        return folder, there
-    return folder, sorted({*there, *list_images(folder)})
+def _below(path: Path, root: Path) -> str:
+    return path.relative_to(root).as_posix()
 
 
-def existing(path: Path) -> Path:
-    """The file that a frame means: as named, or with one of the image extensions."""
-    if path.is_file():
-        return path
-    return next((q for q in (path.with_name(path.name + s) for s in sorted(IMAGE_SUFFIXES)) if q.is_file()), path)
+def pictures_of(root: Path, frames: list[NerfFrame]) -> tuple[Path, list[Path], list[str]]:
+    """The folder that VIEW names are relative to, the image files in question, and what was left out of them.
 
-
-def frames_by_view(root: Path, folder: Path, frames: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
-    """Frames by file (path below the folder) and by the VIEW that their path means. Raises UserError on duplicates."""
-    out: dict[str, dict[str, Any]] = {}
+    Nothing is listed outside the capture: of a folder elsewhere only the files that frames name are read.
+    """
     for frame in frames:
-        relative = os.path.relpath(existing(root / frame["file_path"]), folder)
+        if frame.path.suffix.lower() in UNREADABLE and frame.path.is_file():
+            raise UserError(frame.path, "cannot be read", UNREADABLE[frame.path.suffix.lower()])
+    folder = common_folder(root, [f.path for f in frames])
+    there = [p for p in dict.fromkeys(f.path for f in frames) if p.is_file()]
+    if folder == root or not folder.is_dir() or not Path(os.path.normpath(folder)).is_relative_to(root):
+        return folder, there, []
+    chosen = sort_out(sorted({*there, *list_images(folder)}), folder, {p.stem for p in there})
+    return folder, chosen.kept, chosen.warnings()
+
+
+def mask_of(frame: NerfFrame) -> Path:
+    """The file of a frame's mask_path."""
+    told = frame.told["mask_path"]
+    if not isinstance(told, str):
+        raise UserError(frame.where, f"frame {frame.told['file_path']}: mask_path is not text", "name the mask's file")
+    path = frame.where.parent / told
+    plain = frame.where.parent / told.replace("\\", "/")
+    return path if path.is_file() else plain
+
+
+def frames_by_view(folder: Path, frames: list[NerfFrame]) -> dict[str, NerfFrame]:
+    """Frames by file (path below the folder) and by the VIEW that their path means. Raises UserError on duplicates."""
+    out: dict[str, NerfFrame] = {}
+    for frame in frames:
+        relative = os.path.relpath(frame.path, folder)
         if relative in out:
-            raise UserError(root / FILE, f"two frames name {frame['file_path']}", "remove one of them")
+            raise UserError(frame.where, f"two frames name {frame.told['file_path']}", "remove one of them")
         out[relative] = frame
     for relative, frame in list(out.items()):
         path = Path(relative)
@@ -133,7 +155,7 @@ def frames_by_view(root: Path, folder: Path, frames: list[dict[str, Any]]) -> di
     return out
 
 
-def frame_for(group: Group, folder: Path, frame_of: dict[str, dict[str, Any]]) -> dict[str, Any] | None:
+def frame_for(group: Group, folder: Path, frame_of: dict[str, NerfFrame]) -> NerfFrame | None:
     """The frame of a view: one that names any of its files, else the view itself."""
     for path in group.paths:
         frame = frame_of.get(os.path.relpath(path, folder))
@@ -142,47 +164,24 @@ def frame_for(group: Group, folder: Path, frame_of: dict[str, dict[str, Any]]) -
     return frame_of.get(f"view:{group.view}")
 
 
-def _moves(group: Group, folder: Path, frame_of: dict[str, dict[str, Any]]) -> bool:
+def _moves(group: Group, folder: Path, frame_of: dict[str, NerfFrame]) -> bool:
     """Whether the files of one would-be stack have frames with different matrices."""
     found = [frame_of.get(os.path.relpath(p, folder)) for p in group.paths]
-    return len({json.dumps(f["transform_matrix"]) for f in found if f is not None and "transform_matrix" in f}) > 1
+    return len({json.dumps(f.told["transform_matrix"]) for f in found if f is not None and "transform_matrix" in f.told}) > 1
 
 
-def _same_view_used(
-    frame: dict[str, Any], root: Path, folder: Path, frame_of: dict[str, dict[str, Any]], used: set[int]
-) -> bool:
-    """Whether a frame's file belongs to a view that another frame stands for (frames that list a stack file by file)."""
-    path = existing(root / frame["file_path"])
-    return path.is_file() and bool(used)
-
-
-def camera_of_view(frame: dict[str, Any], table: dict[str, Any], view: ViewSource, root: Path) -> Camera:
-    """The frame's camera, which must have the picture's size. Raises UserError."""
+def camera_of_view(frame: dict[str, Any], table: dict[str, Any], view: ViewSource, where: Path) -> Camera:
+    """The camera of a frame of the table `where`, which must have the picture's size. Raises UserError."""
     size = view.size or image_size(view.paths[0])
     frame = {**frame, "camera": view.camera}
     if "w" not in frame and "w" not in table:
         frame["w"], frame["h"] = size
-    camera = camera_from_frame(frame, table, root / FILE)
+    camera = camera_from_frame(frame, table, where)
     if (camera.width, camera.height) != size:
         turned = ", turned by 90° (EXIF rotation is not applied)" if (camera.height, camera.width) == size else ""
-        fault = f"is {size[0]}x{size[1]}, its camera in {FILE} is {camera.width}x{camera.height}{turned}"
+        fault = f"is {size[0]}x{size[1]}, its camera in {where.name} is {camera.width}x{camera.height}{turned}"
         raise UserError(view.paths[0], fault, "give the camera the image's size")
     return camera
-
-
-def load_table(path: Path) -> dict[str, Any]:
-    """The parsed transforms.json with at least one frame. Raises UserError."""
-    try:
-        table = json.loads(path.read_text(encoding="utf-8-sig"))
-    except (OSError, ValueError) as error:
-        raise UserError(path, f"is not valid JSON ({error})", "export it again") from None
-    frames = table.get("frames") if isinstance(table, dict) else None
-    if not isinstance(frames, list) or not frames:
-        raise UserError(path, "holds no frames", 'it needs "frames": [{"file_path", "transform_matrix"}, ...]')
-    for frame in frames:
-        if not isinstance(frame, dict) or not isinstance(frame.get("file_path"), str):
-            raise UserError(path, "a frame has no file_path", "name the image of every frame")
-    return table
 
 
 def common_folder(root: Path, paths: list[Path]) -> Path:

@@ -19,6 +19,7 @@ from pipeline.capture.naming.files import (
     polariser_priors,
     sorted_views,
 )
+from pipeline.capture.recognition.strangers import sort_out
 from pipeline.errors import UserError
 from pipeline.formats.colmap import find_model
 from pipeline.geometry.cameras import Camera
@@ -43,6 +44,9 @@ def read(root: Path, config: CaptureConfig) -> Capture:
     for folder in camera_folders(root):
         images = image_folder(folder)
         paths = list_images(images) if images != folder else [p for p in list_images(folder) if "mask" not in p.parent.name]
+        chosen = sort_out(paths, images)
+        paths = chosen.kept
+        warnings += chosen.warnings()
         if not paths:
             raise UserError(images, "the COLMAP folder holds no image", "put the images behind this polariser into images/")
         name = folder.name

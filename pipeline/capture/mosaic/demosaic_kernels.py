@@ -5,9 +5,10 @@ A cell is a 2x2 block of polarisers under one colour; planes [h/2, w/2] have a v
 
 from __future__ import annotations
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
+
+from pipeline.kernels.compiling import kernel
 
 Plane = NDArray[np.float32]
 Stack = NDArray[np.float32]
@@ -17,7 +18,7 @@ TINY = F(1e-12)
 """Of bright light squared: below any light that a 16-bit code can tell (2e-10)."""
 
 
-@numba.njit(nogil=True, cache=True, fastmath=True)
+@kernel(nogil=True, fastmath=True)
 def pool_light(mosaic: Plane, scale: np.float32, bayer: NDArray[np.int64], sparse: Stack) -> None:
     """Mean light of each cell (crossed pairs cancel the polarisation), in the plane of its colour; zero in the others."""
     for y in range(sparse.shape[1]):
@@ -29,7 +30,7 @@ def pool_light(mosaic: Plane, scale: np.float32, bayer: NDArray[np.int64], spars
                 sparse[c, y, x] = light if c == own else F(0)
 
 
-@numba.njit(nogil=True, cache=True, fastmath=True)
+@kernel(nogil=True, fastmath=True)
 def to_chroma(light: Stack, dim: np.float32, root: Stack) -> None:
     """Each colour's light over the mean of all, in place; and its square root."""
     for y in range(light.shape[1]):
@@ -41,7 +42,7 @@ def to_chroma(light: Stack, dim: np.float32, root: Stack) -> None:
             root[0, y, x], root[1, y, x], root[2, y, x] = np.sqrt(r), np.sqrt(g), np.sqrt(b)
 
 
-@numba.njit(nogil=True, cache=True, fastmath=True, inline="always")
+@kernel(nogil=True, fastmath=True, inline="always")
 def _four(plane: Plane, y: int, x: int) -> tuple[np.float32, np.float32, np.float32, np.float32]:
     """A cell plane at the cell's four samples, bilinearly."""
     above, below = max(y - 1, 0), min(y + 1, plane.shape[0] - 1)
@@ -57,7 +58,7 @@ def _four(plane: Plane, y: int, x: int) -> tuple[np.float32, np.float32, np.floa
     )
 
 
-@numba.njit(nogil=True, cache=True, fastmath=True)
+@kernel(nogil=True, fastmath=True)
 def one_colour(mosaic: Plane, scale: np.float32, chroma: Stack, bayer: NDArray[np.int64], out: Plane) -> None:
     """Samples as a sensor without colour filters would have them: over the chroma of their own colour."""
     for y in range(chroma.shape[1]):
@@ -70,7 +71,7 @@ def one_colour(mosaic: Plane, scale: np.float32, chroma: Stack, bayer: NDArray[n
             out[j + 1, i + 1] = max(mosaic[j + 1, i + 1] * scale, F(0)) / d
 
 
-@numba.njit(nogil=True, cache=True, fastmath=True, inline="always")
+@kernel(nogil=True, fastmath=True, inline="always")
 def _line(a: np.float32, b: np.float32, c: np.float32, d: np.float32) -> tuple[np.float32, np.float32, np.float32]:
     """(carrier, light, squared gradient) of a cell's samples b, c between neighbours a, d on a line.
 
@@ -80,7 +81,7 @@ def _line(a: np.float32, b: np.float32, c: np.float32, d: np.float32) -> tuple[n
     return apart * (b - c) - beside * (a - d), apart * (b + c) + beside * (a + d), (c - a) * (c - a) + (d - b) * (d - b)
 
 
-@numba.njit(nogil=True, cache=True, fastmath=True)
+@kernel(nogil=True, fastmath=True)
 def demodulate(
     light: Plane,
     root: Stack,
@@ -125,7 +126,7 @@ def demodulate(
             out[3, y, x] = wy * scale * (n3 + n4) / (ty + TINY)
 
 
-@numba.njit(nogil=True, cache=True, fastmath=True)
+@kernel(nogil=True, fastmath=True)
 def colour_terms(
     cells: NDArray[np.float32], sums: NDArray[np.float32], bayer: NDArray[np.int64], out: NDArray[np.float32]
 ) -> None:
@@ -144,7 +145,7 @@ def colour_terms(
                 out[c, 3, y, x] = here * ry
 
 
-@numba.njit(nogil=True, cache=True, fastmath=True, inline="always")
+@kernel(nogil=True, fastmath=True, inline="always")
 def _bounded(p: np.float32, q: np.float32, basis: NDArray[np.float32], most: np.float32) -> tuple[np.float32, np.float32]:
     """Carriers p, q as ratios, no longer than `most`."""
     u, v = basis[0, 0] * p + basis[0, 1] * q, basis[1, 0] * p + basis[1, 1] * q
@@ -152,7 +153,7 @@ def _bounded(p: np.float32, q: np.float32, basis: NDArray[np.float32], most: np.
     return u * over, v * over
 
 
-@numba.njit(nogil=True, cache=True, fastmath=True)
+@kernel(nogil=True, fastmath=True)
 def solve_ratios(
     sums: NDArray[np.float32],
     terms: NDArray[np.float32],
@@ -185,7 +186,7 @@ def solve_ratios(
                 out[c, 0, y, x], out[c, 1, y, x] = _bounded(p, q, basis, most)
 
 
-@numba.njit(nogil=True, cache=True, fastmath=True)
+@kernel(nogil=True, fastmath=True)
 def unpolarise(
     light: Plane, ratios: NDArray[np.float32], modulation: NDArray[np.float32], bayer: NDArray[np.int64], out: Plane
 ) -> None:
@@ -201,7 +202,7 @@ def unpolarise(
             out[j + 1, i + 1] = light[j + 1, i + 1] / (F(1) + u[3] * modulation[3, 0] + v[3] * modulation[3, 1])
 
 
-@numba.njit(nogil=True, cache=True, fastmath=True)
+@kernel(nogil=True, fastmath=True)
 def along_edges(image: Plane, dark: np.float32, out: Plane) -> None:
     """Half of each pixel and half of the mean of three along its row or column, whichever changes less."""
     height, width = image.shape
@@ -222,7 +223,7 @@ def along_edges(image: Plane, dark: np.float32, out: Plane) -> None:
             out[y, x] = half * (e + column + share * (row - column))
 
 
-@numba.njit(nogil=True, cache=True, fastmath=True)
+@kernel(nogil=True, fastmath=True)
 def write_tile(
     grey: Plane,
     chroma: Stack,

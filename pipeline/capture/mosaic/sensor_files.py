@@ -8,36 +8,29 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.capture.config import CaptureConfig, MosaicConfig
-from pipeline.capture.naming.files import FLOAT_SUFFIXES, RAW_SUFFIXES
+from pipeline.capture.config import CaptureConfig
+from pipeline.capture.naming.files import RAW_SUFFIXES
 from pipeline.capture.naming.grouping import Group, group_files
 from pipeline.capture.pixels.brackets import read_exposures
 from pipeline.capture.pixels.linear_image import LinearImage
-from pipeline.formats.images import channel_names
+from pipeline.errors import UserError
 
 
 def read_mosaic(group: Group, config: CaptureConfig) -> LinearImage:
-    """The bare mosaic [H, W, 1] of one view, brackets merged."""
+    """The bare mosaic [H, W, 1] of one view, brackets merged; equal channels are one. Raises UserError on others."""
     path = group.paths[0]
     if path.suffix.lower() in RAW_SUFFIXES:
         from pipeline.capture.pixels.raw import read_raw_mosaic
 
         samples, saturated = read_raw_mosaic(path, config.radiometry)
         return LinearImage(samples[..., None], ("Y",), saturated, 16)
-    return read_exposures(group.angles[None], config.radiometry, sensor_data=True)
-
-
-def is_mosaic(paths: Sequence[Path], config: CaptureConfig) -> bool:
-    """Whether single-channel sensor files are 2x2 polariser mosaics rather than grey pictures (a few are looked at).
-
-    A `[mosaic]` table in capture.toml says so of any kind of file that may hold one.
-    """
-    some = _a_few(paths)
-    if config.mosaic != MosaicConfig():
-        return all(p.suffix.lower() in RAW_SUFFIXES or len(channel_names(p)) == 1 for p in some)
-    if any(p.suffix.lower() in FLOAT_SUFFIXES | RAW_SUFFIXES or len(channel_names(p)) != 1 for p in some):
-        return False
-    return float(np.mean([carrier_share(_bare(p, config), period=4) for p in some])) > CARRIER_SHARE
+    image = read_exposures(group.angles[None], config.radiometry, sensor_data=True)
+    colours = [i for i, name in enumerate(image.names) if name.lower() != "a"]
+    if not all(np.array_equal(image.pixels[..., colours[0]], image.pixels[..., i]) for i in colours[1:]):
+        fault = f"has {len(colours)} channels that differ ({', '.join(image.names)}): it holds no polariser mosaic"
+        raise UserError(path, fault, "give the sensor's own single-channel file, or move it away")
+    image.pixels, image.names = np.ascontiguousarray(image.pixels[..., colours[:1]]), ("Y",)
+    return image
 
 
 def mosaic_colour(paths: Sequence[Path], config: CaptureConfig) -> str:
@@ -56,6 +49,11 @@ def _a_few(paths: Sequence[Path]) -> list[Path]:
 
 
 LOOKED_AT = 4
+
+
+def carriers_seen(paths: Sequence[Path], config: CaptureConfig) -> float:
+    """Mean share of lit tiles that show a 2x2 polariser pattern, over a few of the files. Raises UserError."""
+    return float(np.mean([carrier_share(_bare(path, config), period=4) for path in _a_few(paths)]))
 
 
 def _bare(path: Path, config: CaptureConfig) -> NDArray[np.float32]:

@@ -15,17 +15,29 @@ FLOAT_SUFFIXES = frozenset({".exr", ".hdr"})
 PHOTO_SUFFIXES = frozenset({".png", ".tif", ".tiff", ".jpg", ".jpeg"})
 RAW_SUFFIXES = frozenset(
     {".dng", ".nef", ".cr2", ".cr3", ".arw", ".raf", ".orf", ".rw2", ".pef", ".srw", ".3fr", ".iiq", ".nrw"}
+    | {".kdc", ".dcr", ".crw", ".mrw", ".sr2", ".srf", ".erf", ".mef", ".mos", ".x3f", ".rwl", ".fff", ".gpr"}
 )
 IMAGE_SUFFIXES = FLOAT_SUFFIXES | PHOTO_SUFFIXES | RAW_SUFFIXES
-UNREADABLE = {
+VIDEO = "a video is compressed and tone-mapped; export its frames as images"
+TONE_MAPPED = "is tone-mapped or compressed for the eye; export 16-bit TIFF or shoot DNG"
+REWRITE = "is not read; write the same pixels as PNG or TIFF (lossless)"
+FORMATS = {
     ".r3d": "RED R3D files need RED's own decoder; export them as linear EXR (REDCINE-X, DaVinci Resolve)",
     ".braw": "Blackmagic RAW needs its own decoder; export it as linear EXR (DaVinci Resolve)",
     ".heic": "HEIC photographs are tone-mapped; export 16-bit TIFF or shoot DNG",
-    ".mp4": "a video is compressed and tone-mapped; export its frames as images",
-    ".mov": "a video is compressed and tone-mapped; export its frames as images",
+    ".heif": "HEIF photographs are tone-mapped; export 16-bit TIFF or shoot DNG",
+    **dict.fromkeys((".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v", ".mts"), VIDEO),
+    **{s: f"{s[1:].upper()} {TONE_MAPPED}" for s in (".webp", ".avif", ".jxl", ".gif")},
+    **{s: f"{s[1:].upper()} {REWRITE}" for s in (".bmp", ".tga", ".pgm", ".ppm", ".pnm", ".pfm", ".jp2", ".psd", ".dpx")},
 }
+UNREADABLE = {suffix: way for suffix, way in FORMATS.items() if suffix not in IMAGE_SUFFIXES}
+"""Kinds of pictures that nobody here reads, with the way out of each."""
+DUMPS = frozenset({".raw", ".bin", ".dat", ".npy", ".mat", ".bayer", ".yuv", ".fit", ".fits"})
+"""Samples without a header that says what they are, or arrays: pictures where they lie in an image folder."""
 MASK_FOLDERS = ("masks", "mask")
 IMAGE_FOLDERS = ("images", "images_full", "image", "raw", "photos")
+UNDISTORTED = frozenset({"dense", "undistorted"})
+"""Folders in which COLMAP writes undistorted images, with the model that belongs to them."""
 
 
 def list_images(folder: Path, suffixes: Iterable[str] = IMAGE_SUFFIXES) -> list[Path]:
@@ -55,10 +67,14 @@ def has_images(folder: Path, suffixes: Iterable[str] = IMAGE_SUFFIXES) -> bool:
 
 
 def image_folder(root: Path) -> Path:
-    """The folder that VIEW names are relative to: images/ or one of its common other names, else the root."""
+    """The folder that VIEW names are relative to: images/ or one of its common other names, dense/0/images, else the root."""
     for name in IMAGE_FOLDERS:
         if has_images(root / name):
             return root / name
+    places = [p for name in sorted(UNDISTORTED) for p in (root / name, *sorted((root / name).glob("*"))) if p.is_dir()]
+    workspaces = [p for p in places if has_images(p / "images")]
+    if workspaces:
+        return max(workspaces, key=lambda p: len(list_images(p / "images"))) / "images"
     return root
 
 
@@ -76,7 +92,7 @@ def find_environments(root: Path) -> tuple[Path, ...]:
     folder = root / "envmaps"
     if not folder.is_dir():
         return ()
-    return tuple(sorted(p for p in folder.iterdir() if p.suffix.lower() in FLOAT_SUFFIXES))
+    return tuple(sorted(p for p in folder.iterdir() if p.suffix.lower() in FLOAT_SUFFIXES and not p.name.startswith(".")))
 
 
 def find_masks(root: Path, views: Mapping[str, Path], folder: Path) -> tuple[dict[str, Path], list[str]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.capture.config import CaptureConfig
+from pipeline.errors import UserError
 
 ANGLE = re.compile(
     r"^(?P<view>.+?)[_\-. ]?(?:pol|lp|angle|ang|deg|a|p)?[_\-]?(?P<angle>\d{1,3}(?:[.]\d+)?)(?:deg|°)?$", re.IGNORECASE
@@ -51,24 +52,45 @@ class Group:
 
 
 def group_files(paths: list[Path], folder: Path, config: CaptureConfig, stacks: bool = True) -> list[Group]:
-    """Views of the image files below `folder`, sorted by VIEW: angle stacks and exposure brackets put together."""
+    """Views of the image files below `folder`, sorted by VIEW: angle stacks and exposure brackets put together.
+
+    Files that fit no stack where most others do are in no group. Raises UserError, see `group_and_rest`.
+    """
+    return group_and_rest(paths, folder, config, stacks)[0]
+
+
+def group_and_rest(
+    paths: list[Path], folder: Path, config: CaptureConfig, stacks: bool = True
+) -> tuple[list[Group], list[Path]]:
+    """The views as `group_files` has them, and the files that fit no stack.
+
+    Raises UserError where capture.toml's angles miss a file or name none, or where about as many files fit as do not.
+    """
     stems = {path: path.relative_to(folder).with_suffix("").as_posix() for path in paths}
     exposures: dict[str, list[Exposure]] = defaultdict(list)
     brackets = _brackets(stems)
     for path, stem in stems.items():
         base, seconds, stops = brackets.get(path, (stem, None, None))
         exposures[base].append(Exposure(path, seconds, stops))
-    split = _angles(list(exposures), config) if stacks else None
+    if stacks and config.stack.angles_deg:
+        split: dict[str, tuple[str, float]] | None = _told_angles(exposures, config)
+    else:
+        split = _angles(list(exposures), config, exposures) if stacks else None
     if split is None:
         return [
             Group(b.replace("/", "_"), {None: tuple(e)})
             for b, e in sorted(exposures.items(), key=lambda i: i[0].replace("/", "_"))
-        ]
+        ], []
     views: dict[str, dict[float | None, tuple[Exposure, ...]]] = defaultdict(dict)
+    rest: list[Path] = []
     for base, found in exposures.items():
+        if base not in split:
+            rest += [e.path for e in found]
+            continue
         view, angle = split[base]
         views[view.replace("/", "_")][angle] = tuple(found)
-    return [Group(view, dict(sorted(angles.items(), key=lambda i: i[0] or 0))) for view, angles in sorted(views.items())]
+    groups = [Group(view, dict(sorted(angles.items(), key=lambda i: i[0] or 0))) for view, angles in sorted(views.items())]
+    return groups, sorted(rest)
 
 
 def _brackets(stems: Mapping[Path, str]) -> dict[Path, tuple[str, float | None, float | None]]:
@@ -84,27 +106,77 @@ def _brackets(stems: Mapping[Path, str]) -> dict[Path, tuple[str, float | None, 
     return {path: (base, s, e) for base, members in found.items() if len(members) > 1 for path, s, e in members}
 
 
-def _angles(bases: list[str], config: CaptureConfig) -> dict[str, tuple[str, float]] | None:
-    """VIEW and angle of every base name, or None where the names are no stack."""
-    told = config.stack.angles_deg
-    if told:
-        out = {}
-        for base in bases:
-            for suffix in sorted(told, key=len, reverse=True):
-                if base.endswith(suffix):
-                    out[base] = (base[: -len(suffix)].rstrip("_-/ ") or "view", told[suffix])
-                    break
-            else:
-                return None
-        return {b: (v, _turned(a, config)) for b, (v, a) in out.items()}
-    for parse in (_by_suffix, _by_folder, _by_last_folder):
-        split = {base: parse(base) for base in bases}
-        if any(s is None for s in split.values()):
-            continue
+def _told_angles(exposures: Mapping[str, list[Exposure]], config: CaptureConfig) -> dict[str, tuple[str, float]]:
+    """VIEW and angle of every base name by capture.toml's endings. Raises UserError naming what they miss."""
+    told, where = config.stack.angles_deg, config.path or Path("capture.toml")
+    out, missed, used = {}, [], set()
+    for base, found in exposures.items():
+        ending = next((s for s in sorted(told, key=len, reverse=True) if base.endswith(s)), None)
+        if ending is None:
+            missed.append(found[0].path.name)
+        else:
+            used.add(ending)
+            out[base] = (base[: -len(ending)].rstrip("_-/ ") or "view", _turned(told[ending], config))
+    idle = [repr(s) for s in told if s not in used]
+    if not out:
+        fault = f"stack.angles_deg: none of the {len(missed)} images ends in {', '.join(idle)} (first: {sorted(missed)[0]})"
+        raise UserError(where, fault, "write the endings of the file names, without extension")
+    if missed:
+        fault = f"stack.angles_deg: no ending fits {len(missed)} of {len(exposures)} images ({_first(sorted(missed))})"
+        raise UserError(where, fault, "add their endings, or move these files away")
+    if idle:
+        raise UserError(where, f"stack.angles_deg: no image ends in {', '.join(idle)}", "correct the ending, or remove it")
+    return out
+
+
+def _first(names: list[str]) -> str:
+    return ", ".join(names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")
+
+
+def _angles(
+    bases: list[str], config: CaptureConfig, exposures: Mapping[str, list[Exposure]]
+) -> dict[str, tuple[str, float]] | None:
+    """VIEW and angle of the base names, or None where the names are no stack; what fits none while most do is left out."""
+    parsed = [{base: parse(base) for base in bases} for parse in (_by_suffix, _by_folder, _by_last_folder)]
+    for split in parsed:
         sure = {b: s for b, s in split.items() if s is not None}
-        if _plausible(sure):
+        if len(sure) == len(split) and _plausible(sure):
             return {b: (v, _turned(a, config)) for b, (v, a) in sure.items()}
+    for split in parsed:
+        part = _stack_part({b: s for b, s in split.items() if s is not None})
+        rest = [base for base in bases if base not in part]
+        views = {view for view, _ in part.values()}
+        apart = [b for b in rest if not any(_belongs(b, view) for view in views)]
+        if not part or len(apart) > len(part) // 2:
+            continue
+        if len(apart) > FITTING * len(part):
+            names = _first(sorted(exposures[b][0].path.name for b in apart))
+            fault = f"{len(part)} files make angle stacks, {len(apart)} do not ({names})"
+            raise UserError(exposures[apart[0]][0].path.parent, fault, "move the ones that are no part of a stack away")
+        return {b: (v, _turned(a, config)) for b, (v, a) in part.items()}
     return None
+
+
+FITTING = 0.25
+"""Of the files in stacks: so many others may lie beside them and be left out; more are too many to be strays."""
+
+
+def _belongs(base: str, view: str) -> bool:
+    """Whether a file's name is a view's name with something added."""
+    return base == view or (base.startswith(view) and not base[len(view)].isalnum())
+
+
+def _stack_part(split: Mapping[str, tuple[str, float]]) -> dict[str, tuple[str, float]]:
+    """Those of the parsed names whose views have the usual angles of the others; empty where they are no stack."""
+    by_view: dict[str, list[float]] = defaultdict(list)
+    for view, angle in split.values():
+        by_view[view].append(angle)
+    sets = Counter(frozenset(angles) for angles in by_view.values())
+    if not sets:
+        return {}
+    most = max(sets, key=lambda s: (len(s) >= 3, sets[s], len(s)))
+    fitting = {b: (v, a) for b, (v, a) in split.items() if set(by_view[v]) <= most}
+    return fitting if fitting and _plausible(fitting) else {}
 
 
 def _by_suffix(base: str) -> tuple[str, float] | None:
@@ -134,6 +206,8 @@ def _plausible(split: Mapping[str, tuple[str, float]]) -> bool:
     for view, angle in split.values():
         by_view[view].append(angle)
     sets = {frozenset(angles) for angles in by_view.values()}
+    if not sets:
+        return False
     most = max(sets, key=lambda s: sum(frozenset(a) == s for a in by_view.values()))
     if any(len(set(a)) != len(a) for a in by_view.values()) or len(most) < 3 or max(most) > 180:
         return False

@@ -103,3 +103,22 @@ def raw_size(path: Path) -> tuple[int, int]:
     """(width, height) of the visible area. Raises UserError."""
     with _opened(path) as raw:
         return int(raw.sizes.width), int(raw.sizes.height)
+
+
+def raw_preview(path: Path) -> NDArray[np.float32]:
+    """The camera's own small JPEG in a raw file, sRGB-encoded [h, w, 3] in 0..1. Raises UserError where it has none."""
+    import cv2
+    import rawpy
+
+    with _opened(path) as raw:
+        try:
+            thumb = raw.extract_thumb()
+        except rawpy.LibRawError:
+            raise UserError(path, "holds no preview", "export it as linear 16-bit TIFF") from None
+        if thumb.format == rawpy.ThumbFormat.JPEG:
+            picture = cv2.imdecode(np.frombuffer(thumb.data, np.uint8), cv2.IMREAD_COLOR_RGB | cv2.IMREAD_IGNORE_ORIENTATION)
+        else:
+            picture = np.asarray(thumb.data)
+    if picture is None or picture.ndim != 3:
+        raise UserError(path, "holds no preview that can be read", "export it as linear 16-bit TIFF")
+    return picture.astype(np.float32) / np.float32(255)

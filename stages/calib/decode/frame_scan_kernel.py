@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.kernels.compiling import kernel
 
-@numba.njit(nogil=True, cache=True)
+
+@kernel(nogil=True)
 def _survey(stokes: NDArray[np.float32], mend: bool) -> tuple[int, int, np.float32]:
     """(pixels with a negative s0, pixels with |(s1, s2)| > s0, largest magnitude) of [H, W, 3, 3].
 

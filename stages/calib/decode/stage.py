@@ -45,7 +45,7 @@ def run(stage: StageRun) -> None:
 
 STAGE = Stage(
     name="decode",
-    version=2,
+    version=3,
     parameters=DecodeParameters,
     needs=(),
     needed=needed,

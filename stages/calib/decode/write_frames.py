@@ -64,11 +64,13 @@ def decode_views(stage: StageRun) -> None:
                 future.cancel()
             raise
     _tell(stage, records)
-    table = {
+    table: dict[str, Any] = {
         "schema": 1,
         "polarisation": capture.polarisation,
         "views": {view: records[view].facts for view in sorted(records)},
     }
+    if capture.parts is not None:
+        table["parts"] = capture.parts
     (output / "frames.json").write_text(json.dumps(table, indent=1) + "\n", encoding="utf-8")
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.capture.light_stage.folders import home_of
 from pipeline.capture.naming.safe_names import environment_name
 from pipeline.engine.stage import StageRun
 from pipeline.formats.images import read_image
@@ -41,7 +42,7 @@ def _maps(run: StageRun, folder: Path) -> list[dict[str, str]]:
 
     add(pictures.radiance(read_image(folder / "diffuse_albedo.exr", RGB)), "diffuse albedo", "ρ_d")
     add(pictures.scale(one("specular_albedo"), 0, 1, mask=there), "specular albedo", "ρ_s, 0 to 1")
-    truth = run.capture.root / folder.name / "gt" / "maps.npz"
+    truth = home_of(run.capture.root, folder.name) / "gt" / "maps.npz"
     if truth.is_file():
         with np.load(truth) as maps:
             true, inside = maps["normal"], maps["mask"] > 0.5

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
+from pipeline.kernels.compiling import kernel
 from pipeline.kernels.numerics import FAST, HALF, ONE, ZERO, kth_largest, solve3
 
 START_FRACTION = 0.3  # of the fifth-brightest sample: above it a light is surely not shadowed
@@ -20,7 +19,7 @@ GRAZING = 0.02  # cosine below which a light says nothing about the normal
 MAD = 1.4826  # standard deviation of a normal distribution over its median absolute deviation
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST, error_model="numpy")
 def weighted_equations(light, ok, wx, wy, wz, bx, by, bz, grazing, shadowed, level, inverse, weight):
     """Geman-McClure weights of lights that are not shadowed, and the normal equations under them, in one pass.
 
@@ -53,7 +52,7 @@ def weighted_equations(light, ok, wx, wy, wz, bx, by, bz, grazing, shadowed, lev
     return a, b, c, d, e, f, x, y, z, ss, sw
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST, error_model="numpy")
 def _residuals(light, ok, wx, wy, wz, bx, by, bz, grazing, work):
     """Absolute residuals of the lit samples into `work` (-1: not one of them); returns their number."""
     n = ZERO * light[0]
@@ -66,13 +65,13 @@ def _residuals(light, ok, wx, wy, wz, bx, by, bz, grazing, work):
     return n
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _residual_scale(light, ok, wx, wy, wz, bx, by, bz, grazing, work):
     n = int(_residuals(light, ok, wx, wy, wz, bx, by, bz, grazing, work))
     return MAD * kth_largest(work, n // 2) if n > 0 else 0.0
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST, error_model="numpy")
 def _usable(light, ok, work):
     """The samples that can be used into `work` (-1: cannot); returns their number."""
     n = ZERO * light[0]
@@ -83,7 +82,7 @@ def _usable(light, ok, work):
     return n
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def fit_normal(light, ok, wx, wy, wz, rounds, plain, weight, work):
     """Scaled diffuse normal `m` = (albedo x normal) of one pixel.
 

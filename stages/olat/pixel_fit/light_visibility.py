@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
+from pipeline.kernels.compiling import kernel
 from pipeline.kernels.numerics import FAST, HALF, ONE, TWO, ZERO
 from stages.olat.pixel_fit.result_layout import INTER_D, INTER_S, OCCLUSION_D, OCCLUSION_S, VISIBILITY_D, VISIBILITY_S
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST, error_model="numpy")
 def behind(light, ok, wx, wy, wz, nx, ny, nz):
     """Root mean square of the samples whose light is behind the surface: noise and inter-reflection."""
     s = n = ZERO * nx
@@ -23,7 +22,7 @@ def behind(light, ok, wx, wy, wz, nx, ny, nz):
     return math.sqrt(s / n) if n > ZERO else ZERO
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST, error_model="numpy")
 def _seen(diffuse, ok, wx, wy, wz, nx, ny, nz, albedo, zeta, use):
     """`use` [N]: 1 for a light before the surface that is seen, else 0."""
     for k in range(use.size):
@@ -33,7 +32,7 @@ def _seen(diffuse, ok, wx, wy, wz, nx, ny, nz, albedo, zeta, use):
         use[k] = ONE if (p > ZERO) & arrives else ZERO
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST, error_model="numpy")
 def _diffuse_sums(diffuse, rgb, ok, wx, wy, wz, area, nx, ny, nz, albedo, zeta, use):
     """Sums over the lights of one pixel, of which those in `use` are seen. It stores nothing: then it vectorises."""
     seen = front = lit = whole = square = data = r = g = b = ZERO * nx
@@ -56,7 +55,7 @@ def _diffuse_sums(diffuse, rgb, ok, wx, wy, wz, area, nx, ny, nz, albedo, zeta, 
     return seen, front, lit, whole, square, data, r, g, b
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def diffuse_maps(room, w, area, n_d, albedo, zeta, out):
     """Visibility, occlusion (Eq. 5, normalised by the rig's own unoccluded sum), inter-reflection (Eq. 4); residual sums."""
     kind = area.dtype.type
@@ -71,7 +70,7 @@ def diffuse_maps(room, w, area, n_d, albedo, zeta, out):
     return float(square), float(data)
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST, error_model="numpy")
 def _lobe_sums(light, g, area, seen, bound, rho, zeta):
     """Sums over the lights before the surface: expected, arriving, energies and the residual's squares."""
     expected = arriving = lit = whole = square = data = ZERO * rho
@@ -91,7 +90,7 @@ def _lobe_sums(light, g, area, seen, bound, rho, zeta):
     return expected, arriving, lit, whole, square, data
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST, error_model="numpy")
 def _from_behind(light, ok, wx, wy, wz, area, nx, ny, nz, zeta):
     """Light that arrives from behind the surface, weighted by the cosine."""
     s = ZERO * nx
@@ -102,7 +101,7 @@ def _from_behind(light, ok, wx, wy, wz, area, nx, ny, nz, zeta):
     return s
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def specular_maps(room, n, g, rho, zeta, all_area, w, n_s, out):
     """Share of the lobe's lights and energy that arrives, and what arrives from behind; returns residual sums."""
     kind = all_area.dtype.type
@@ -116,7 +115,7 @@ def specular_maps(room, n, g, rho, zeta, all_area, w, n_s, out):
     return float(square), float(data)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def printed_maps(light, room, w, n, zeta, out, specular):
     """PRF Eqs. 4 and 5 as printed: every light counts alike, 4/N normalises, `I > zeta` is visible."""
     lit = seen = front = r = g = b = 0.0

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from pipeline.kernels.compiling import kernel
 from pipeline.kernels.numerics import FAST, ZERO, copy1, copy2
 from pipeline.kernels.scratch import matrix, vector
 from pipeline.rig.lobes import values
@@ -23,7 +23,7 @@ UNSURE = 0.1**2  # of the square norm, weighted or not: a lobe or a mixture that
 ROUND_STEPS, DIRECTED_STEPS = 2, 3  # Levenberg-Marquardt steps between two reweightings: round lobe, anisotropic lobe
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def fit_lobe(settings, o, n_d, prior, solved, half, incident, light, floor, use, area, cosine, weight, g, top, noise,
              frame, shape, rho, room):  # fmt: skip
     """Fit one pixel's lobe in place on (frame, shape, rho[0]).
@@ -103,7 +103,7 @@ def fit_lobe(settings, o, n_d, prior, solved, half, incident, light, floor, use,
     return norm, passes, order
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST, error_model="numpy")
 def _misfit(g, rho, light, floor, use):
     """Square sums of the residual and of the samples, and the sum of the weights."""
     s = data = n = ZERO * rho
@@ -116,7 +116,7 @@ def _misfit(g, rho, light, floor, use):
     return float(s), float(data), float(n)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def round_start(light, use, level, area, half, cosine, frame, shape):
     """A round lobe's width from the second moments about the frame's normal."""
     start_shape(light, use, level, area, half, cosine, frame, shape)
@@ -125,7 +125,7 @@ def round_start(light, use, level, area, half, cosine, frame, shape):
     shape[2] = 0.0
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _rounds(settings, prior, frame, shape, rho, o, n_d, stiff, absolute, isotropic, samples):
     """Reweighted Levenberg-Marquardt rounds in place; returns the robust cost at their end and the passes."""
     half, incident, light, floor, use, weight, g = samples
@@ -145,7 +145,7 @@ def _rounds(settings, prior, frame, shape, rho, o, n_d, stiff, absolute, isotrop
     return reweight(g, kind(rho[0]), light, use, absolute, RELATIVE, weight), passes
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST, error_model="numpy")
 def _stiffness(prior, g, rho, light, use, weight):
     """Tie to n_d: `prior` times the mean weighted square residual, more where the lobe fits badly; 0 where it fits exactly."""
     s = n = all_s = data = ZERO * rho
@@ -162,7 +162,7 @@ def _stiffness(prior, g, rho, light, use, weight):
     return prior * (s / n) * (1.0 + 100.0 * all_s / data)  # doubled where the lobe misses a tenth of the samples
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST, error_model="numpy")
 def linear_albedo(g, light, weight, floor):
     """PRF Eq. 17: ratio of two dot products over samples that are not lower bounds."""
     top = bottom = 0.0

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ from stages.olat.pixel_fit.fit_options import ROOM, Settings
 from stages.olat.pixel_fit.result_layout import WIDTH
 
 SHARE = 64  # pixels that a thread takes at a time: a few milliseconds, so that threads end together
+SOURCE = Path(__file__).with_name("many_pixels_kernel.py")
 ARGUMENTS = ("int64",) * 5 + ("pointer",) * 14
 
 
@@ -28,7 +30,7 @@ def half_table() -> NDArray[np.float32]:
 
 def ready(half: bool, precision: str) -> bool:
     """Whether the kernel for frames of half floats, or of floats, was compiled before."""
-    return native.compiled(_name("uint16" if half else "float32", precision))
+    return native.compiled(_name("uint16" if half else "float32", precision), SOURCE)
 
 
 def load(half: bool, precision: str) -> None:
@@ -46,7 +48,7 @@ def _kernel(sample: str, precision: str) -> native.Kernel:
 
         return compile_kernel(sample, precision)
 
-    return native.kernel(_name(sample, precision), ARGUMENTS, build)
+    return native.kernel(_name(sample, precision), SOURCE, ARGUMENTS, build)
 
 
 def fit(

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import carray, njit, types
+from numba import carray, types
 from numba.extending import overload
 
+from pipeline.kernels.compiling import kernel
 from pipeline.kernels.native import machine_code
 from pipeline.kernels.scratch import folded
 from stages.olat.pixel_fit.fit_options import CHUNK, ROOM, Settings
@@ -30,7 +31,7 @@ def _value(sample, table):
     return lambda sample, table: sample
 
 
-@njit(error_model="numpy")
+@kernel(error_model="numpy")
 def _near(point, positions, intensity, w, energy):
     """Directions [3, N] and relative irradiance [N] at `point` from lights at `positions` [N, 3] (inverse square)."""
     for k in range(positions.shape[0]):
@@ -42,7 +43,7 @@ def _near(point, positions, intensity, w, energy):
         energy[k] = intensity[k] * centre / square
 
 
-@njit(error_model="numpy")
+@kernel(error_model="numpy")
 def _settings(v):
     """Settings from their numbers in order."""
     return Settings(

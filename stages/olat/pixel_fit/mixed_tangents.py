@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
 from pipeline.kernels import scratch as stack
+from pipeline.kernels.compiling import kernel
 from pipeline.kernels.numerics import FAST, ZERO, cholesky_solve, copy1, copy2
 from pipeline.rig.lobes import jacobian, values
 from stages.olat.pixel_fit.specular import hold, reweight, tilt, weighted_square
@@ -25,7 +24,7 @@ REACH = 3.2  # widths of one lobe: beyond it the mixture is under 4e-5 of its pe
 LOG_MIN, LOG_MAX = math.log(0.01), math.log(2.0)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def shape_of(s1, s2, angle, shape, slope):
     """A, B, C of widths (e^s1 along `angle`, e^s2 across), and `slope` [2, 3]: their derivatives by s1, s2."""
     a, b = math.exp(-2 * s1), math.exp(-2 * s2)
@@ -43,13 +42,13 @@ def shape_of(s1, s2, angle, shape, slope):
         slope[k, 2] = d1[k] / root - shape[2] * slope[k, 0]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def direction(x, j):
     """Angle (rad, from t) of the mixture's j-th direction."""
     return x[2] + j * (math.pi / DIRECTIONS)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _system(lobe, frame, x, o, h, i, light, floor, weight, rows, one, prior, n_d, matrix, gradient):
     """Normal equations [SIZE, SIZE] of the mixture at x = (s1, s2, first angle, weights); returns the cost."""
     shape, slope = stack.vector(3), stack.matrix(2, 3)
@@ -76,7 +75,7 @@ def _system(lobe, frame, x, o, h, i, light, floor, weight, rows, one, prior, n_d
     return cost + hold(frame, n_d, prior, matrix, gradient)
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST, error_model="numpy")
 def _add(one, rho, slope, rows):
     """Add `rho` x the derivatives of one lobe by tilt and log widths to the first four rows."""
     kind = one.dtype.type
@@ -89,19 +88,19 @@ def _add(one, rho, slope, rows):
         rows[3, k] += b0 * one[2, k] + b1 * one[3, k] + b2 * one[4, k]
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST, error_model="numpy")
 def _add_scaled(row, factor, out):
     for k in range(out.size):
         out[k] += factor * row[k]
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST, error_model="numpy")
 def _times(a, b, out):
     for k in range(out.size):
         out[k] = a[k] * b[k]
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST, error_model="numpy")
 def _residuals(light, floor, weight, model, held):
     """`model` becomes the weighted residual, `held` the weights (0 where a clipped sample's model is above it); the cost."""
     cost = ZERO * light[0]
@@ -114,7 +113,7 @@ def _residuals(light, floor, weight, model, held):
     return float(cost)
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST, error_model="numpy")
 def _dot(a, b):
     s = ZERO * a[0]
     for k in range(a.size):
@@ -122,7 +121,7 @@ def _dot(a, b):
     return s
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _optimise(lobe, frame, x, o, h, i, light, floor, weight, prior, n_d, tolerance, rows, one):
     """Levenberg-Marquardt in place on (frame, x), weights held at 0 while they want to be negative. Returns passes."""
     matrix, gradient = stack.matrix(SIZE, SIZE), stack.vector(SIZE)
@@ -178,7 +177,7 @@ def _optimise(lobe, frame, x, o, h, i, light, floor, weight, prior, n_d, toleran
     return passes
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def mixed_values(lobe, frame, x, o, h, i, one, g):
     """Radiance per unit irradiance of the mixture, into `g` [N]; `one` [N] is workspace."""
     shape, slope = stack.vector(3), stack.matrix(2, 3)
@@ -193,7 +192,7 @@ def mixed_values(lobe, frame, x, o, h, i, one, g):
                 g[k] += rho * one[k]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _pack(frame, reach, h, i, light, floor, use, chosen, room):
     """The lights in use whose half vector lies within `reach` (tangent of the angle from the normal), [9, n] in `room`."""
     count = 0
@@ -211,7 +210,7 @@ def _pack(frame, reach, h, i, light, floor, use, chosen, room):
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def fit_mixed(lobe, frame, x, large, small, angle, rho, o, h, i, light, floor, use, absolute, relative, prior, n_d, tolerance,
               limit, weight, g, room):  # fmt: skip
     """Fit the mixture from one lobe (large, small, angle, rho), in place on (frame, x [3 + DIRECTIONS]).
@@ -247,7 +246,7 @@ def fit_mixed(lobe, frame, x, large, small, angle, rho, o, h, i, light, floor, u
     return cost, passes
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def concentration(x):
     """(total weight, principal angle, order): order is 1 where all the light has one tangent, 0 where none is preferred."""
     total = c = s = 0.0

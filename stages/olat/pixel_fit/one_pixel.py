@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from pipeline.kernels.compiling import kernel
 from pipeline.kernels.numerics import FAST, HALF, ONE, ZERO
 from pipeline.kernels.scratch import matrix, vector
 from pipeline.rig.lobes import values
@@ -54,7 +54,7 @@ LIT_LIGHTS = 4  # three determine a normal and its albedo exactly; only a fourth
 EFFECTIVE_LIGHTS = 3.0  # a lobe seen by fewer has no width
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST, error_model="numpy")
 def _albedo(rgb, wx, wy, wz, nx, ny, nz, weight, out):
     """PRF Eq. 16: ratio of two dot products over the lights in use; `out` [3] is filled."""
     r = g = b = den = ZERO * nx
@@ -71,7 +71,7 @@ def _albedo(rgb, wx, wy, wz, nx, ny, nz, weight, out):
         out[0] = out[1] = out[2] = ZERO
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST, error_model="numpy")
 def _in_use(weight):
     """Sum of the weights, and how many of them count."""
     s = n = ZERO * weight[0]
@@ -81,7 +81,7 @@ def _in_use(weight):
     return float(s), float(n)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _gather(room, w, area, n_d, solved):
     """Lights before the surface, packed: their directions, half vectors, samples and whether they are seen."""
     n = 0
@@ -100,7 +100,7 @@ def _gather(room, w, area, n_d, solved):
     return n
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def fit_pixel(cross, parallel, w, o, area, energy, settings, room, out):
     """Fill `out` [WIDTH] for one pixel from its samples cross, parallel [3, N] (N lights at directions w [3, N]).
 
@@ -205,7 +205,7 @@ def fit_pixel(cross, parallel, w, o, area, energy, settings, room, out):
     return norm, passes
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _gradient(room, w, o, area, flag, out):
     """Ma et al. 2007: normals from the three gradients, albedos from the sums; no lobe, no refinement."""
     x, y, z, found = gradient_direction(room.diffuse, room.ok, w, area)
@@ -221,7 +221,7 @@ def _gradient(room, w, o, area, flag, out):
     out[FLAG] = flag if found else TOO_FEW
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _specular(n, w, o, area, settings, n_d, solved, top_d, room, out):
     """Specular part of a pixel: what can be fitted, the fit, its maps. See `fit_pixel`."""
     kind = area.dtype.type

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
+from pipeline.kernels.compiling import kernel
 from pipeline.kernels.numerics import LARGEST, ONE, ZERO, solve3
 from stages.olat.pixel_fit.diffuse import weighted_equations
 
@@ -13,7 +12,7 @@ ROUNDS = 2  # M of Algorithm 1
 GAP = 0.1  # epsilon of Algorithm 1, of the brightest sample
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def gradient_direction(light, ok, w, area):
     """PRF Eqs. 8-10 (Ma et al. 2007): normalised `Σ I ω ΔΩ`. Returns (x, y, z, found)."""
     x = y = z = 0.0
@@ -26,7 +25,7 @@ def gradient_direction(light, ok, w, area):
     return (x / size, y / size, z / size, True) if size > 0 else (0.0, 0.0, 0.0, False)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def total(light, ok, area):
     """Solid-angle-weighted sum of the samples (PRF Eqs. 6 and 7)."""
     s = 0.0
@@ -35,7 +34,7 @@ def total(light, ok, area):
     return s
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def correlation_normal(light, use, incident, o, weight):
     """PRF Eq. 13: the reflected direction whose cosine correlates best, `r ∝ (ΩᵀΩ)⁻¹ Ωᵀ I`, and `n = N(r + o)`.
 
@@ -53,7 +52,7 @@ def correlation_normal(light, use, incident, o, weight):
     return (nx / size, ny / size, nz / size, True) if size > 1e-6 else (0.0, 0.0, 0.0, False)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def remove_overexposure(samples, level, order, delta):
     """PRF Algorithm 1 on one channel's samples [N], only where one reaches `level`: spikes come down to the next value + delta.
 
@@ -87,7 +86,7 @@ def remove_overexposure(samples, level, order, delta):
             order[best] = 1
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def correlation(model, light, use):
     """Cosine between a model's values and the samples over the lights in use (PRF Eqs. 12 and 13)."""
     ab = aa = bb = 0.0
@@ -99,7 +98,7 @@ def correlation(model, light, use):
     return ab / math.sqrt(aa * bb) if aa > 0 and bb > 0 else 0.0
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def lambert(n, w, out):
     """Clamped cosines of the lights into `out`."""
     for k in range(out.size):

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
+from pipeline.kernels.compiling import kernel
 from pipeline.kernels.numerics import FAST, LARGEST, ONE, ZERO
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST, error_model="numpy")
 def _finite(a, b, c, d, e, f, fine):
     """`fine` [N]: 1 where all six samples are finite, else 0; returns how many are not."""
     bad = ZERO
@@ -20,21 +19,21 @@ def _finite(a, b, c, d, e, f, fine):
     return bad
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST, error_model="numpy")
 def _clipped(a, b, c, level, out):
     """`out` [N]: 1 where a channel reaches `level`, else 0."""
     for k in range(out.size):
         out[k] = ONE if max(a[k], b[k], c[k]) >= level else ZERO
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST, error_model="numpy")
 def _scaled(sample, fine, energy, scale, out):
     for k in range(out.size):
         v, e = sample[k], energy[k]
         out[k] = scale * v / e if fine[k] > ZERO else ZERO
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST, error_model="numpy")
 def _mean(a, b, c, third, out):
     top = ZERO * a[0]
     for k in range(out.size):
@@ -44,7 +43,7 @@ def _mean(a, b, c, third, out):
     return top
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST, error_model="numpy")
 def _difference(a, b, c, crossed, fine, energy, scale, per_cross, out):
     """Parallel less crossed samples; `crossed` is their mean in albedo units."""
     top = ZERO * energy[0]
@@ -56,7 +55,7 @@ def _difference(a, b, c, crossed, fine, energy, scale, per_cross, out):
     return top
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST, error_model="numpy")
 def _marks(fine, floor, ok):
     """`ok` [N], where a crossed sample is clipped, becomes where it can be used; returns how many lights are clipped."""
     clipped = ZERO * fine[0]
@@ -67,7 +66,7 @@ def _marks(fine, floor, ok):
     return clipped
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def separate(cross, parallel, energy, settings, level, room):
     """I_d = 2 I_x and I_s = f (I_p - I_x) per unit of irradiance; marks samples that are not finite or clipped.
 

@@ -9,9 +9,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from pipeline.kernels import scratch as stack
+from pipeline.kernels.compiling import kernel
 from pipeline.kernels.numerics import FAST, ONE, ZERO, cholesky_solve, copy1, copy2
 from pipeline.rig.lobes import normal_equations
 
@@ -21,7 +21,7 @@ SIGMA_MIN, SIGMA_MAX = 1e-3, 10.0
 SHAPE_MAX, SHAPE_MIN = -math.log(SIGMA_MIN), -math.log(SIGMA_MAX)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def frame_about(nx, ny, nz, frame):
     """Rows t, b, n of an orthonormal frame about a unit normal (Duff et al. 2017: no singular direction)."""
     sign = math.copysign(1.0, nz)
@@ -32,7 +32,7 @@ def frame_about(nx, ny, nz, frame):
     frame[2, 0], frame[2, 1], frame[2, 2] = nx, ny, nz
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def tilt(frame, d1, d2, out):
     """The frame whose normal is `n + d1 t + d2 b`, t kept as near as it can be."""
     for i in range(3):
@@ -52,7 +52,7 @@ def tilt(frame, d1, d2, out):
     out[1, 2] = out[2, 0] * out[0, 1] - out[2, 1] * out[0, 0]
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST, error_model="numpy")
 def half_vectors(ix, iy, iz, ox, oy, oz, hx, hy, hz, cosine):
     """Half vectors of the lights and `o`, and their cosine h·o (0 where the light is exactly opposite)."""
     for k in range(ix.size):
@@ -63,7 +63,7 @@ def half_vectors(ix, iy, iz, ox, oy, oz, hx, hy, hz, cosine):
         cosine[k] = (x * ox + y * oy + z * oz) * r
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST, error_model="numpy")
 def _sums(light, use, floor):
     top = whole = squares = clipped = noise = negative = ZERO * light[0]
     for k in range(light.size):
@@ -79,7 +79,7 @@ def _sums(light, use, floor):
     return top, whole, squares, clipped, noise, negative
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def sums(light, use, floor):
     """Of the samples in use: largest, sum, sum of squares, sum of the clipped; and the deviation that negative ones betray."""
     top, whole, squares, clipped, noise, negative = _sums(light, use, floor)
@@ -87,7 +87,7 @@ def sums(light, use, floor):
     return float(top), float(whole), float(squares), float(clipped), deviation
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST, error_model="numpy")
 def _weighted(light, weight, level, area, hx, hy, hz, cosine):
     x = y = z = n = ZERO * level
     for k in range(light.size):
@@ -102,7 +102,7 @@ def _weighted(light, weight, level, area, hx, hy, hz, cosine):
     return x, y, z, n
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def start_normal(light, weight, level, area, h, cosine):
     """Weighted half vector `Σ I ΔΩ h / (h·o)` over samples above `level`. Returns its direction and the samples' number."""
     sx, sy, sz, count = _weighted(light, weight, light.dtype.type(level), area, h[0], h[1], h[2], cosine)
@@ -111,7 +111,7 @@ def start_normal(light, weight, level, area, h, cosine):
     return (x / size, y / size, z / size, int(count)) if size > 0 else (0.0, 0.0, 0.0, 0)
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST, error_model="numpy")
 def _moments(light, weight, level, area, hx, hy, hz, cosine, tx, ty, tz, bx, by, bz):
     xx = xy = yy = total = ZERO * level
     for k in range(light.size):
@@ -128,7 +128,7 @@ def _moments(light, weight, level, area, hx, hy, hz, cosine, tx, ty, tz, bx, by,
     return float(xx), float(xy), float(yy), float(total)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def start_shape(light, weight, level, area, h, cosine, frame, shape):
     """A, B, C from the second moments of the projected half vectors (variance = sigma² / 2 in each direction)."""
     kind = light.dtype.type
@@ -138,7 +138,7 @@ def start_shape(light, weight, level, area, h, cosine, frame, shape):
     set_shape(xx, xy, yy, shape)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def set_shape(xx, xy, yy, shape):
     """Log-Cholesky of the inverse of the width matrix [[xx xy] [xy yy]] (sigma squared)."""
     det = xx * yy - xy * xy
@@ -149,7 +149,7 @@ def set_shape(xx, xy, yy, shape):
     shape[0], shape[1], shape[2] = math.log(a), 0.5 * math.log(b2), c
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def widths(shape):
     """(sigma of the larger axis, of the smaller, angle of the larger axis from t) of A, B, C."""
     a, b, c = math.exp(shape[0]), math.exp(shape[1]), shape[2]
@@ -162,7 +162,7 @@ def widths(shape):
     return 1.0 / math.sqrt(small), 1.0 / math.sqrt(large), angle
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def optimise(lobe, frame, shape, rho, o, h, i, light, floor, weight, isotropic, prior, n_d, steps, tolerance):
     """Levenberg-Marquardt in place on (frame, shape, rho[0]) until the gradient, in units of the data, is under `tolerance`.
 
@@ -219,7 +219,7 @@ def optimise(lobe, frame, shape, rho, o, h, i, light, floor, weight, isotropic, 
     return cost / size, norm, passes
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST, error_model="numpy")
 def weighted_square(light, weight):
     """Weighted square norm of the samples."""
     s = ZERO * light[0]
@@ -228,7 +228,7 @@ def weighted_square(light, weight):
     return float(s)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def hold(frame, n_d, prior, matrix, gradient):
     """Add the prior `prior |n - n_d|²` (chord, exact gradient in the tilt) to the normal equations; returns its cost."""
     if prior <= 0:
@@ -243,7 +243,7 @@ def hold(frame, n_d, prior, matrix, gradient):
     return 2.0 * prior * (1.0 - n)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _reduce(matrix, gradient, isotropic):
     """Merge A and B, drop C where the lobe is to be round; returns the number of parameters."""
     if not isotropic:
@@ -262,7 +262,7 @@ def _reduce(matrix, gradient, isotropic):
     return 4
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def _norm(gradient, n, rho, size):
     s = 0.0
     for k in range(n):
@@ -271,7 +271,7 @@ def _norm(gradient, n, rho, size):
     return math.sqrt(s) / size
 
 
-@njit(cache=True, fastmath=FAST, error_model="numpy")
+@kernel(fastmath=FAST, error_model="numpy")
 def reweight(g, rho, light, use, absolute, relative, weight):
     """Geman-McClure weights of the residual in units of `absolute + relative x max(model, sample)`; returns the robust cost."""
     cost = ZERO * rho

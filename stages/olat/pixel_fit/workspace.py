@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from pipeline.kernels.compiling import kernel
 from pipeline.kernels.scratch import folded
 from stages.olat.pixel_fit.fit_options import ROWS
 
@@ -36,7 +36,7 @@ class Room(NamedTuple):
     spare: np.ndarray  # [SPARE N]
 
 
-@njit(cache=True, error_model="numpy")
+@kernel(error_model="numpy")
 def make_room(n, buffer, front):
     """Workspace for `n` lights in `buffer` [ROWS n], in its precision, and `front` int64 [n]."""
     rgb, one = folded(buffer, 3, n), folded(buffer[3 * n :], 14, n)

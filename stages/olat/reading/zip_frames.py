@@ -19,6 +19,7 @@ from pipeline.formats.exr_zip import open_zip_exr
 from pipeline.kernels import native
 from stages.olat.reading.scanline_bands import Picked
 
+SOURCE = Path(__file__).with_name("unpack_kernel.py")
 ARGUMENTS = ("int64",) * 10 + ("pointer",) * 6
 TOGETHER = 1 << 22  # bytes inflated before pixels are picked from them: what a reader holds of a large frame
 
@@ -49,7 +50,7 @@ def unpack_kernel() -> native.Kernel:
 
         return compile_kernel()
 
-    return native.kernel("unpack", ARGUMENTS, build)
+    return native.kernel("unpack", SOURCE, ARGUMENTS, build)
 
 
 class ZipFrames:

@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from pipeline.kernels.compiling import kernel
 from pipeline.kernels.simd import take_ticket
 
 LEAST_COSINE = 0.03  # below it a normal turns the surface away from a view that sees it
@@ -36,7 +36,7 @@ def octahedral_directions(size: int) -> np.ndarray:
     return (d / np.linalg.norm(d, axis=-1, keepdims=True)).astype(np.float32)
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@kernel(nogil=True, fastmath=True, error_model="numpy")
 def _texel(x, y, z, size):
     """Row and column of a direction in the octahedral map."""
     scale = np.float32(1) / (abs(x) + abs(y) + abs(z))
@@ -53,7 +53,7 @@ def _texel(x, y, z, size):
     )
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@kernel(nogil=True, fastmath=True, error_model="numpy")
 def _predict(nx, ny, nz, count, towards, axis_x, axis_y, mix, own, trust, irradiance, mirrored, angular, body, gloss, weight):
     """Every view's body and gloss [C, V] for one normal; weight [V] is 0 where it turns away. Returns the weight so lost."""
     size, channels = len(irradiance), len(body)
@@ -102,7 +102,7 @@ def _predict(nx, ny, nz, count, towards, axis_x, axis_y, mix, own, trust, irradi
     return lost
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@kernel(nogil=True, fastmath=True, error_model="numpy")
 def _residual(count, values, slope, prior, body, gloss, weight, lost, albedo, sums):
     """Weighted mean robust residual of one normal's predictions at the albedo that fits them best."""
     channels = len(body)
@@ -129,7 +129,7 @@ def _residual(count, values, slope, prior, body, gloss, weight, lost, albedo, su
     return total / max(whole, np.float32(1e-6))  # every view wholly blocked: nothing is known, and 0 / 0 must not say so
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@kernel(nogil=True, fastmath=True, error_model="numpy")
 def explain(
     counters, counts, values, slope, towards, axis_x, axis_y, mix, own, normals, prior, irradiance, mirrored, angular, best
 ):

@@ -85,7 +85,7 @@ def slot_width(attributes: int) -> int:
     return -(-(G_GEO + attributes) // LANES) * LANES
 
 
-@kernel
+@kernel(nogil=True, error_model="numpy", allocates=False)
 def pair_backward(
     buffer: np.ndarray,
     stride: int,
@@ -209,7 +209,7 @@ def pair_backward(
         store_totals(slots, slot + G_GEO + c, spread(ZERO), spread(ZERO), spread(ZERO), spread(ZERO))
 
 
-@kernel
+@kernel(nogil=True, error_model="numpy", allocates=False)
 def layer_rows(buffer: np.ndarray, at: int, extra: int, here: float) -> tuple:
     """The three rows of the layer that the splat at place `here` belongs to, lane by lane."""
     share = load(buffer, extra + LAST)
@@ -226,7 +226,7 @@ def layer_rows(buffer: np.ndarray, at: int, extra: int, here: float) -> tuple:
     return share, mean, gone
 
 
-@kernel
+@kernel(nogil=True, error_model="numpy", allocates=False)
 def lay_out_layers(buffer: np.ndarray, stride: int, record: np.ndarray, channels: int, attributes: int) -> None:
     """Fill every block's rows of layers. Row BEHIND holds the image's product with its cotangent, and is 0 afterwards.
 
@@ -262,7 +262,7 @@ def lay_out_layers(buffer: np.ndarray, stride: int, record: np.ndarray, channels
         store(buffer, extra + LAST + 2 * LANES, left * mean)
 
 
-@kernel
+@kernel(nogil=True, error_model="numpy", allocates=False)
 def read_tile(
     buffer: np.ndarray,
     stride: int,
@@ -312,7 +312,7 @@ def read_tile(
                 buffer[at + extra + BEHIND] = product
 
 
-@kernel
+@kernel(nogil=True, error_model="numpy", allocates=False)
 def tiles_backward(
     counters: np.ndarray,
     tile_start: np.ndarray,

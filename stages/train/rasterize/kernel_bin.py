@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.kernels.compiling import allocating_kernel
+from pipeline.kernels.compiling import kernel
 
 from .kernel_project import CULLED, STATE, Z
 
 DIGIT = 11  # bits a radix pass sorts by: three passes cover 32 bits, and the histogram stays in the L1 cache
 
 
-@allocating_kernel
+@kernel(nogil=True, error_model="numpy")
 def depth_order(geo: np.ndarray) -> np.ndarray:
     """Indices of the splats not culled, nearest centre first; equal depths keep their input order. [M] int32"""
     count = 0
@@ -46,7 +46,7 @@ def depth_order(geo: np.ndarray) -> np.ndarray:
     return index
 
 
-@allocating_kernel
+@kernel(nogil=True, error_model="numpy")
 def bin_splats(box: np.ndarray, order: np.ndarray, wanted: np.ndarray) -> tuple:
     """Pairs (tile, splat) in tile order, front to back.
 

@@ -64,7 +64,7 @@ E0, E1, E2, E3, E4, E5 = (_f(c) for c in _fit.convert(kind=np.polynomial.Polynom
 TO_T = _f(-1 / 16)
 
 
-@kernel
+@kernel(nogil=True, error_model="numpy", allocates=False)
 def intersect(g: np.ndarray, x0: float, y0: float, screen: float) -> tuple:
     """Splat record g on the block whose first pixel centre is (x0, y0).
 
@@ -83,7 +83,7 @@ def intersect(g: np.ndarray, x0: float, y0: float, screen: float) -> tuple:
     return dx, dy, u, v, inverse, minimum(rho_screen, rho_object), rho_screen < rho_object
 
 
-@kernel
+@kernel(nogil=True, error_model="numpy", allocates=False)
 def kernel_value(rho: np.ndarray) -> np.ndarray:
     """exp(-rho / 2) for rho in [0, CUTOFF_RHO]. Row -> Row"""
     t = rho * TO_T
@@ -93,13 +93,13 @@ def kernel_value(rho: np.ndarray) -> np.ndarray:
     return power * power
 
 
-@kernel
+@kernel(nogil=True, error_model="numpy", allocates=False)
 def capped_alpha(opacity: float, rho: np.ndarray) -> np.ndarray:
     """Opacity at rho, up to ALPHA_MAX. Row -> Row"""
     return minimum(opacity * kernel_value(rho), ALPHA_MAX)
 
 
-@kernel
+@kernel(nogil=True, error_model="numpy", allocates=False)
 def blend_block(
     buffer: np.ndarray,
     at: int,
@@ -156,7 +156,7 @@ def blend_block(
     return True, still_open, weight, weight
 
 
-@kernel
+@kernel(nogil=True, error_model="numpy", allocates=False)
 def end_layers(buffer: np.ndarray, at: int, place: int, ends: np.ndarray, record: np.ndarray, channels: int) -> None:
     """End the layer at hand in the lanes `ends`, where that many can end, and begin one with the splat at `place`.
 
@@ -192,13 +192,13 @@ def end_layers(buffer: np.ndarray, at: int, place: int, ends: np.ndarray, record
     store(buffer, at + LAYER_SUM, select(ended, ZERO, total))
 
 
-@kernel
+@kernel(nogil=True, error_model="numpy", allocates=False)
 def keep_lanes(record: np.ndarray, row: int, lanes: np.ndarray, values: np.ndarray) -> None:
     """Store the values in these lanes of a record's row."""
     store(record, row, select(lanes, values, load(record, row)))
 
 
-@kernel
+@kernel(nogil=True, error_model="numpy", allocates=False)
 def finish_layers(buffer: np.ndarray, stride: int, record: np.ndarray, channels: int) -> None:
     """Turn every block's attribute rows, sums of alpha * attribute in the last layer, into what all layers show."""
     size = LAYERS * (RECORD_ROWS + channels) * LANES
@@ -220,7 +220,7 @@ def finish_layers(buffer: np.ndarray, stride: int, record: np.ndarray, channels:
                 store(buffer, row, load(buffer, row) + select(ended, load(record, base + c * LANES), ZERO))
 
 
-@kernel
+@kernel(nogil=True, error_model="numpy", allocates=False)
 def start_tile(buffer: np.ndarray, stride: int, mask: np.ndarray, left: int, top: int) -> None:
     """Reset a tile's blocks; pixels outside the image or the mask start finished. mask [H, W] bool"""
     height, width = mask.shape
@@ -240,13 +240,13 @@ def start_tile(buffer: np.ndarray, stride: int, mask: np.ndarray, left: int, top
                 buffer[at + END] = np.inf
 
 
-@kernel
+@kernel(nogil=True, error_model="numpy", allocates=False)
 def pixel_place(line: int, column: int, stride: int) -> int:
     """Index of a tile's pixel in the first row of its block."""
     return ((line // BLOCK) * BLOCKS + column // BLOCK) * stride + (line % BLOCK) * BLOCK + column % BLOCK
 
 
-@kernel
+@kernel(nogil=True, error_model="numpy", allocates=False)
 def block_interval(low: float, high: float, origin: int) -> tuple:
     """First and last + 1 block of the tile at `origin` that has pixel centres in [low, high] (px)."""
     first = max(low - _f(origin) - HALF, ZERO)
@@ -258,7 +258,7 @@ def block_interval(low: float, high: float, origin: int) -> tuple:
     return pixel // BLOCK, int(last) // BLOCK + 1
 
 
-@kernel
+@kernel(nogil=True, error_model="numpy", allocates=False)
 def prefetch_splat(geo: np.ndarray, attributes: np.ndarray, s: int) -> None:
     """Fetch a splat's records ahead: they lie anywhere, and waiting for them took a quarter of the time."""
     prefetch(geo, s * GEO)
@@ -268,7 +268,7 @@ def prefetch_splat(geo: np.ndarray, attributes: np.ndarray, s: int) -> None:
     prefetch(attributes, s * width + width - 1)
 
 
-@kernel
+@kernel(nogil=True, error_model="numpy", allocates=False)
 def block_range(g: np.ndarray, left: int, top: int) -> tuple:
     """Columns and lines of blocks under the splat's bounding box: first, last + 1, first, last + 1."""
     b0, b1 = block_interval(g[LEFT], g[RIGHT], left)

@@ -35,7 +35,7 @@ def forward_room(attributes: int) -> int:
     return BLOCKS * BLOCKS * (CHANNELS + attributes * LANES + 1)
 
 
-@kernel
+@kernel(nogil=True, error_model="numpy", allocates=False)
 def open_blocks(buffer: np.ndarray, stride: int, is_open: np.ndarray) -> int:
     """Mark the blocks with unfinished pixels; returns how many there are. is_open [BLOCKS^2] 1 or 0"""
     count = 0
@@ -46,7 +46,7 @@ def open_blocks(buffer: np.ndarray, stride: int, is_open: np.ndarray) -> int:
     return count
 
 
-@kernel
+@kernel(nogil=True, error_model="numpy", allocates=False)
 def write_tile(
     buffer: np.ndarray,
     stride: int,
@@ -75,7 +75,7 @@ def write_tile(
             scalars[3, y, x] = max(alpha * m2 - m1 * m1, ZERO)
 
 
-@kernel
+@kernel(nogil=True, error_model="numpy", allocates=False)
 def blend_tiles(
     counters: np.ndarray,
     tile_start: np.ndarray,
@@ -156,7 +156,7 @@ def blend_tiles(
         write_tile(buffer, stride, left, top, z_ref, features, normal, scalars)
 
 
-@kernel
+@kernel(nogil=True, error_model="numpy", allocates=False)
 def largest_weights(slot_start: np.ndarray, pair_weight: np.ndarray, visible: np.ndarray) -> None:
     """visible [N] = the largest of each splat's pair weights, 0 without any."""
     for s in range(len(visible)):

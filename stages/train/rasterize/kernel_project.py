@@ -33,7 +33,7 @@ INFINITY = _f(np.inf)
 ZERO, HALF = _f(0), _f(0.5)
 
 
-@kernel
+@kernel(nogil=True, error_model="numpy", allocates=False)
 def unit_quaternion(q: np.ndarray) -> tuple:
     """Normalised wxyz and 1 / norm; divided by the largest entry first, so that squares neither vanish nor overflow."""
     largest = max(max(abs(q[0]), abs(q[1])), max(abs(q[2]), abs(q[3])))
@@ -42,7 +42,7 @@ def unit_quaternion(q: np.ndarray) -> tuple:
     return w * inverse, x * inverse, y * inverse, z * inverse, inverse / largest
 
 
-@kernel
+@kernel(nogil=True, error_model="numpy", allocates=False)
 def camera_axes(q: np.ndarray, R: np.ndarray) -> tuple:
     """Columns t_u, t_v, n of the splat's rotation in camera axes (9 numbers), and n in world axes (3)."""
     w, x, y, z, _ = unit_quaternion(q)
@@ -66,7 +66,7 @@ def camera_axes(q: np.ndarray, R: np.ndarray) -> tuple:
     )
 
 
-@kernel
+@kernel(nogil=True, error_model="numpy", allocates=False)
 def outline(X: float, z: float, ux: float, uz: float, vx: float, vz: float, r2: float) -> tuple:
     """Interval of x / focal, relative to the centre, that the cut-off circle covers (`reference.bounds`)."""
     eu, ev = ux - X * uz, vx - X * vz
@@ -79,7 +79,7 @@ def outline(X: float, z: float, ux: float, uz: float, vx: float, vz: float, r2: 
     return (ed + spread) / leading, (ed - spread) / leading
 
 
-@kernel
+@kernel(nogil=True, error_model="numpy", allocates=False)
 def tile_range(low: float, high: float, size: int) -> tuple:
     """First and last + 1 tile whose pixel centres (at +0.5) can lie in [low, high]; empty where none does."""
     first = max(low - HALF, ZERO)
@@ -91,7 +91,7 @@ def tile_range(low: float, high: float, size: int) -> tuple:
     return pixel // TILE, int(last) // TILE + 1
 
 
-@kernel
+@kernel(nogil=True, error_model="numpy", allocates=False)
 def project(
     counters: np.ndarray,
     means: np.ndarray,
@@ -177,7 +177,7 @@ def project(
                 attributes[s, c] = ZERO
 
 
-@kernel
+@kernel(nogil=True, error_model="numpy", allocates=False)
 def project_backward(
     counters: np.ndarray,
     means: np.ndarray,

@@ -7,12 +7,13 @@ not depend on how threads share them.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from pipeline.kernels.compiling import kernel
 
 PARTS = 5  # slope, normal turn, albedo variation, offset differences, offset size
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz"})
+@kernel(nogil=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz"})
 def surface_losses_rows(
     first, last, indptr, indices, position, normal, albedo, offset, weights, widths, sums,
     g_position, g_normal, g_albedo, g_offset,
@@ -71,7 +72,7 @@ def surface_losses_rows(
         g_offset[i, 0], g_offset[i, 1] = go0, go1
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz"})
+@kernel(nogil=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz"})
 def diffuse_rows(first, last, indptr, indices, values, out):
     """out[i] = half its own value and half its neighbours' mean, for rows first..last of [N, C]."""
     channels = values.shape[1]

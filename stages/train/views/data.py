@@ -19,7 +19,7 @@ from .training_frame import SceneFrame
 
 Mode = Literal["stokes", "polarisers", "none"]
 Split = Literal["train", "validation", "test"]
-TEST_EVERY = 8  # the contract: every 8th of the sorted views, from the first
+TEST_EVERY = 8  # the contract: every 8th of the sorted views, from the first, unless the capture's tables say
 BLACK_BACKGROUND = 0.01  # background radiance over foreground radiance below which the edge pixels are premultiplied
 OPENING = 2.5e-3  # radiance (mean foreground = 0.25) below which no outer side of any dielectric under a sky is: 1/100 of
 # the mean, when its mirror reflection alone gives a twentieth
@@ -81,12 +81,12 @@ def load_sources(decode: Path, poses: Path, masks: Path | None, polarisation: st
     if polarisation != "auto" and polarisation != mode:
         mode = _reduced_mode(mode, polarisation, index_path)
     names = sorted(index["views"])
-    test = set(names[::TEST_EVERY])
+    parts = index.get("parts") or {name: "test" for name in names[::TEST_EVERY]}
     sources = []
     for name in names:
         if name not in cameras:
             continue
-        split: Split = "test" if name in test else "train"
+        split: Split = parts.get(name, "train")
         sources.append(_load(name, index["views"][name], cameras[name], decode, masks, split, mode))
     usable = [s for s in sources if s.split == "train" and ((s.mask > 0.5) & s.valid).sum() > 20]
     if len(usable) < FEWEST_VIEWS:
@@ -287,7 +287,12 @@ def prepare(source: SourceView, frame: SceneFrame, black: bool, device: str = "c
 
 
 def with_validation(sources: list[SourceView], every: int) -> list[SourceView]:
-    """The sources with some training views marked as validation; `every` 0 chooses about one in 14, at least one of 12."""
+    """The sources with some training views marked as validation; `every` 0 chooses about one in 14, at least one of 12.
+
+    Where the capture's own tables name validation views, these are they.
+    """
+    if any(s.split == "validation" for s in sources):
+        return sources
     training = [s.name for s in sources if s.split == "train" and (s.mask > 0.99).any()]
     if every == 0:
         every = 14 if len(training) >= 12 else 0

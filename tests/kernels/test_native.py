@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,12 +23,12 @@ def _copies(count, numbers):
 
 def _run(name, build):
     values = np.arange(4.0)
-    native.kernel(name, ("int64", "pointer"), build)(4, values.ctypes.data)
+    native.kernel(name, Path(__file__), ("int64", "pointer"), build)(4, values.ctypes.data)
     return values.tolist()
 
 
 def test_kept_code_is_used_and_damaged_code_is_compiled_again(tmp_path, monkeypatch):
-    monkeypatch.setattr(native, "_place", lambda name: tmp_path / "double.o")
+    monkeypatch.setattr(native, "_place", lambda name, source: tmp_path / "double.o")
     compiled = []
 
     def build():

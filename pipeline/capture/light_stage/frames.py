@@ -1,0 +1,146 @@
+"""Which frame of a pass belongs to which light: by the names that a table tells, or by the frames' numbers."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.capture.model import LightTable
+from pipeline.capture.naming.files import some
+from pipeline.errors import UserError
+
+LEADING_FRAMES = 2
+"""A pass begins with two frames under all lights (tracking), then one frame a light; two more may follow."""
+IMAGES = (".exr", ".hdr", ".png", ".tif", ".tiff")
+
+
+@dataclass(frozen=True)
+class PassFrames:
+    """The frames of a pass in the order of the lights, those under all lights (or dark), and those of lights left out."""
+
+    frames: tuple[Path, ...]
+    full_light: tuple[Path, ...] = ()
+    left_out: tuple[Path, ...] = ()
+
+
+def pass_frames(folder: Path, lights: LightTable, table: Path, first: int | None = None) -> PassFrames:
+    """The frames of the pass in `folder` for the lights of `table`; `first`: the number of the frame of index 0, if told.
+
+    Raises UserError when frames are missing, empty, or their numbers do not fit the table.
+    """
+    paths = _images(folder)
+    named = _by_name(paths, lights.names)
+    if named is not None:
+        rest = tuple(p for p in paths if p not in set(named))
+        return PassFrames(_not_empty(named), left_out=rest)
+    found = _numbered(paths)
+    index = np.arange(len(lights)) if lights.index is None else lights.index
+    offset = first if first is not None else frame_offset(index, sorted(found), folder, table)
+    wanted = [int(i) + offset for i in index]
+    missing = [k for k in wanted if k not in found]
+    if missing:
+        named_ = ", ".join(str(k) for k in missing[:5]) + (f" and {len(missing) - 5} more" if len(missing) > 5 else "")
+        raise UserError(folder, f"lacks frame {named_} of {len(lights)} lights", "copy the missing frames")
+    frames = tuple(found[k] for k in wanted)
+    between = [k for k in found if min(wanted) < k < max(wanted) and k not in set(wanted)]
+    outside = [k for k in sorted(found) if k < min(wanted) or k > max(wanted)]
+    return PassFrames(_not_empty(frames), tuple(found[k] for k in outside), tuple(found[k] for k in sorted(between)))
+
+
+def frame_offset(index: NDArray[np.int64], numbers: Sequence[int], folder: Path, table: Path) -> int:
+    """What is added to a light's index to get its frame's number. Raises UserError where the numbers leave it open.
+
+    Frames may be 0..R-1; 2..R+1, with two leading and two trailing ones or without; 1..R; or named by index. R counts
+    the rig's lights up to the last in the table: an index may be missing (a light that did not fire), so that light i
+    is found by its index, never by its row. A pass that begins at 0 is whole or has no leading frames: a table that is a
+    few rows short must not shift the lights by two.
+    """
+    low, high = int(index.min()), int(index.max())
+    first, last = numbers[0], numbers[-1]
+    sure: set[int] = set()
+    possible: set[int] = set()
+    for base in {low} | {b for b in (0, 1) if b <= low}:
+        count = high - base + 1
+        if first == 0 and last == count - 1:
+            sure.add(-base)
+        elif (first, last) in ((0, count + 2 * LEADING_FRAMES - 1), (LEADING_FRAMES, count + LEADING_FRAMES - 1)):
+            sure.add(LEADING_FRAMES - base)
+        elif first == 1 and last == count:
+            sure.add(1 - base)
+        elif first > 0 and count + LEADING_FRAMES - 1 <= last < count + 2 * LEADING_FRAMES:
+            possible.add(LEADING_FRAMES - base)
+    if set(numbers) == set(index.tolist()) or (low > 1 and first == low and last == high):
+        sure.add(0)
+    chosen = sure or possible
+    if len(chosen) == 1:
+        return chosen.pop()
+    rows = f"lists {len(index)} lights (index {low}..{high})"
+    fault = f"{rows}, but {folder} has frames {first}..{last} ({len(numbers)} files)"
+    remedy = "frames 0..N-1 or 2..N+1 belong to N lights: use the table that fits, or say which frame is the light of index 0"
+    raise UserError(table, fault, f"{remedy}: first_frame = 2 under [olat] in capture.toml")
+
+
+def _images(folder: Path) -> list[Path]:
+    files = [p for p in sorted(folder.iterdir()) if p.is_file() and not p.name.startswith(".")]
+    found = [p for p in files if p.suffix.lower() in IMAGES]
+    if found:
+        return found
+    kinds = Counter(p.suffix.lower() for p in files if p.suffix)
+    if kinds:
+        kind, n = kinds.most_common(1)[0]
+        fault = f"holds no frame that is read, but {n} {kind} files"
+        raise UserError(folder, fault, "export the frames as linear EXR or 16-bit TIFF or PNG")
+    raise UserError(folder, "holds no frame", "add the frames, or remove the camera's folder")
+
+
+def _by_name(paths: list[Path], names: tuple[str, ...] | None) -> tuple[Path, ...] | None:
+    """The frames that a table names, in its order; None where it names none, or they are not all here by name."""
+    if names is None:
+        return None
+    stems = {p.stem.lower(): p for p in paths}
+    wanted = [_stem(name) for name in names]
+    if len(set(wanted)) == len(wanted) and all(stem in stems for stem in wanted):
+        return tuple(stems[stem] for stem in wanted)
+    return None
+
+
+def _stem(name: str) -> str:
+    path = PurePosixPath(name.replace("\\", "/"))
+    return path.stem.lower() if path.suffix.lower() in (*IMAGES, ".jpg", ".jpeg", ".tga", ".bmp", ".dng") else path.name.lower()
+
+
+def _numbered(paths: list[Path]) -> dict[int, Path]:
+    """Frames by number: of a name's numbers the last that tells the frames apart. Raises UserError."""
+    groups = {path: [int(d) for d in re.findall(r"\d+", path.stem)] for path in paths}
+    bare = next((p for p, g in groups.items() if not g), None)
+    if bare is not None:
+        raise UserError(bare, "has no frame number in its name", "name frames by number, as 000002.exr")
+    place = -1
+    if len({re.sub(r"\d+", "#", p.stem) for p in paths}) == 1:
+        width = len(groups[paths[0]])
+        place = max(range(width), key=lambda k: (len({g[k] for g in groups.values()}), k))
+    found: dict[int, Path] = {}
+    for path, numbers in groups.items():
+        if numbers[place] in found:
+            raise UserError(path, f"has the same frame number as {found[numbers[place]].name}", "keep one of the two")
+        found[numbers[place]] = path
+    return found
+
+
+def _not_empty(frames: tuple[Path, ...]) -> tuple[Path, ...]:
+    empty = next((p for p in frames if p.stat().st_size == 0), None)
+    if empty is not None:
+        raise UserError(empty, "the file is empty (0 bytes)", "copy it again from its source")
+    return frames
+
+
+def left_out_fact(frames: dict[str, PassFrames]) -> list[str]:
+    """What to say of frames whose lights are not in the table."""
+    out = {p.name: None for found in frames.values() for p in found.left_out}
+    return [f"frames of lights that the table leaves out are not used: {some(out)}"] if out else []

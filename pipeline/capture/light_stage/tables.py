@@ -1,0 +1,56 @@
+"""The light table of a capture: lights.csv, the LSX3 stage's two files, an .lp file or light_directions.txt."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pipeline.capture.config import CaptureConfig
+from pipeline.capture.model import LightTable
+from pipeline.errors import UserError
+
+CSV, DIRECTIONS = "lights.csv", "light_directions.txt"
+SIGNS = (CSV, DIRECTIONS, "light_positions.txt", "LSX3_light_positions.txt", "LSX3_light_z_spiral.txt", "light_intensities.txt")
+
+
+def table_beside(root: Path) -> Path | None:
+    """A light table among the files of a capture, or of a folder below it, by its name; None without one."""
+    for folder in (root, *_subfolders(root)):
+        lower = {p.name.lower(): p for p in sorted(folder.iterdir()) if p.is_file() and not p.name.startswith(".")}
+        found = next((lower[name.lower()] for name in SIGNS if name.lower() in lower), None)
+        found = found or next((p for name, p in lower.items() if name.endswith(".lp") and _is_lp(p)), None)
+        if found is not None:
+            return found
+    return None
+
+
+def _is_lp(path: Path) -> bool:
+    """Whether a .lp file begins as RTI's do, with a count alone on its line (linear programs do not)."""
+    with path.open("rb") as stream:
+        return stream.readline(200).lstrip(b"\xef\xbb\xbf").strip().isdigit()
+
+
+def _subfolders(root: Path) -> list[Path]:
+    places = (p for p in sorted(root.iterdir()) if p.is_dir() and not p.name.startswith("."))
+    return [p for p in places if p.name.lower() not in ("gt", "envmaps")]
+
+
+def read_light_table(root: Path, config: CaptureConfig) -> tuple[LightTable, list[Path]]:
+    """The lights, and the files that they were read from, the last of them named in errors. Raises UserError."""
+    from pipeline.rig.named_tables import INTENSITIES, NAMES, read_directions, read_lp
+    from pipeline.rig.tables import LSX3_POSITIONS, LSX3_SPIRAL, read_lights_csv, read_lsx3
+
+    lsx3 = [root / LSX3_POSITIONS, root / LSX3_SPIRAL]
+    path: Path | None = root / config.olat.lights if config.olat.lights is not None else None
+    if path is None:
+        path = next((p for p in (root / CSV, *(q for q in root.iterdir() if q.name.lower() == CSV)) if p.is_file()), None)
+    if path is None and any(p.is_file() for p in lsx3):
+        return read_lsx3(root), lsx3
+    path = path or table_beside(root)
+    if path is None:
+        raise UserError(root, "the frames have no light table", f"add lights.csv, or {LSX3_POSITIONS} and {LSX3_SPIRAL}")
+    if path.suffix.lower() == ".lp" and path.is_file():
+        return read_lp(path), [path]
+    if path.name.lower() == DIRECTIONS and path.is_file():
+        beside = [p for p in (path.with_name(INTENSITIES), path.with_name(NAMES)) if p.is_file()]
+        return read_directions(path), [*beside, path]
+    return read_lights_csv(path), [path]

@@ -1,0 +1,1 @@
+"""What belongs to a capture and what does not: strangers among the images, one framing, tables that match nothing."""

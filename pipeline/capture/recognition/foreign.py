@@ -1,0 +1,52 @@
+"""Files that nobody here reads beside those that are, and folders with nothing else: named, with the way out."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from pathlib import Path
+
+from pipeline.capture.model import Capture
+from pipeline.capture.naming.files import DUMPS, FORMATS, IMAGE_FOLDERS, IMAGE_SUFFIXES, UNREADABLE, some
+from pipeline.errors import UserError
+
+MOST_LOOKED_AT = 20_000
+
+
+def foreign_warnings(capture: Capture) -> list[str]:
+    """A line for each kind of unreadable file among the images, and one for macOS' resource files."""
+    folders = {path.parent for view in capture.views for path in view.paths}
+    if capture.light_stage is not None:
+        folders |= {p.parent for c in capture.light_stage.cameras.values() for p in (*c.cross, *c.parallel)}
+    folders |= {p for p in (capture.root / "envmaps",) if p.is_dir()}
+    kinds: dict[str, list[Path]] = defaultdict(list)
+    resources: list[Path] = []
+    for path in (p for folder in sorted(folders) for p in sorted(folder.iterdir())):
+        if path.name.startswith("._"):
+            resources.append(path)
+        elif path.suffix.lower() in UNREADABLE and not path.name.startswith("."):
+            kinds[UNREADABLE[path.suffix.lower()]].append(path)
+    lines = [f"{found[0].parent}: left out {some(p.name for p in found)}: {way}" for way, found in kinds.items()]
+    if resources:
+        named = some(p.name for p in resources)
+        lines.append(f"{resources[0].parent}: left out {named}: macOS resource files, no images; delete them (dot_clean)")
+    return lines
+
+
+def refuse_unreadable(root: Path) -> None:
+    """Raise UserError naming the kind of file where a folder of no known layout holds pictures that are not read."""
+    found: dict[str, list[Path]] = defaultdict(list)
+    for count, path in enumerate(root.rglob("*")):
+        if count > MOST_LOOKED_AT:
+            break
+        suffix = path.suffix.lower()
+        if path.name.startswith(".") or suffix in IMAGE_SUFFIXES or not path.is_file():
+            continue
+        dump = suffix in DUMPS and (path.parent == root or path.relative_to(root).parts[0] in IMAGE_FOLDERS)
+        if suffix in FORMATS or dump:
+            found[suffix].append(path)
+    if not found:
+        return
+    suffix, files = max(found.items(), key=lambda item: len(item[1]))
+    files.sort()
+    way = FORMATS.get(suffix, "write the samples as 16-bit PNG or TIFF, one file a picture (lossless)")
+    raise UserError(files[0], f"{suffix} files are not read, and there are no other images ({len(files)} of them)", way)

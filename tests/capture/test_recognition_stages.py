@@ -1,0 +1,286 @@
+"""Light stages are understood whatever their folders are called; pictures under one light each are never taken for views."""
+
+import numpy as np
+import pytest
+
+from pipeline.capture import open_capture
+from pipeline.capture.recognition.one_framing import framing
+from pipeline.errors import UserError
+from pipeline.formats.images import read_image
+from synth import ball
+
+LIGHTS = 12
+
+
+def frames_fit(capture, directions, size=16):
+    """Every frame shows the light that the table gives it."""
+    stage = capture.light_stage
+    np.testing.assert_allclose(stage.lights.directions, directions, atol=1e-6)
+    for camera in stage.cameras.values():
+        for paths, specular in ((camera.cross, False), (camera.parallel, True)):
+            for path, light in zip(paths, directions):
+                np.testing.assert_allclose(read_image(path)[..., :3], ball.stage_frame(light, specular, size), atol=1e-3)
+
+
+@pytest.mark.parametrize("camera", ["Cam00", "camera_00", "Camera-0", "C000", "CAM 0", "cam00"])
+@pytest.mark.parametrize("passes", [("cross", "parallel"), ("Cross", "Parallel"), ("xpol", "ppol"), ("crossed", "uncrossed"),
+                                    ("Cross_Polarised", "Parallel-Polarized")])  # fmt: skip
+def test_case_and_separators_of_folders_do_not_matter(camera, passes, tmp_path):
+    directions = ball.write_stage(tmp_path, 5, camera, passes)
+    (tmp_path / "lights.csv").write_text(ball.lights_csv(directions))
+    ball.write(tmp_path / camera / "Mask.png", np.full((16, 16), 255, np.uint8))
+    capture = open_capture(tmp_path)
+    assert capture.kind == "light_stage" and list(capture.light_stage.cameras) == ["cam00"]
+    assert capture.light_stage.cameras["cam00"].mask == tmp_path / camera / "Mask.png" and not capture.warnings
+    frames_fit(capture, directions)
+
+
+@pytest.mark.parametrize("nest", ["{which}/{camera}", "{which}", "frames/{camera}/{which}"])
+def test_passes_above_cameras_or_alone(nest, tmp_path):
+    directions = ball.write_stage(tmp_path, 5, nest=nest)
+    (tmp_path / "Lights.csv").write_text(ball.lights_csv(directions))
+    frames_fit(open_capture(tmp_path), directions)
+
+
+@pytest.mark.parametrize("name", ["cam00.txt", "Camera_0.txt", "camera000.txt"])
+def test_camera_files_of_other_names(name, tmp_path):
+    directions = ball.write_stage(tmp_path, 4)
+    (tmp_path / "lights.csv").write_text(ball.lights_csv(directions))
+    (tmp_path / "cameras/camera00.txt").rename(tmp_path / "cameras" / name)
+    frames_fit(open_capture(tmp_path), directions)
+
+
+def test_a_stage_without_a_camera_file_is_told_its_form(tmp_path):
+    directions = ball.write_stage(tmp_path, 4)
+    (tmp_path / "lights.csv").write_text(ball.lights_csv(directions))
+    (tmp_path / "cameras/camera00.txt").unlink()
+    with pytest.raises(UserError, match=r"camera00\.txt: cam00 has images but no camera file; .*#focal length"):
+        open_capture(tmp_path)
+
+
+# ---- frames and lights -----------------------------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("first", "base", "dead", "extra"),
+    [
+        (0, 0, (4, 7), 0), (2, 0, (4, 7), 0), (1, 1, (4, 7), 0), (2, 1, (4,), 0), (0, 1, (4,), 0), (0, 0, (0, 5), 0),
+        (2, 0, (0,), 0), (2, 0, (4,), 2), (101, 101, (4,), 0), (2, 2, (3,), 0), (2, 0, (), 2), (2, 0, (11,), 0),
+    ],
+)  # fmt: skip
+def test_the_light_of_index_i_is_frame_i(first, base, dead, extra, tmp_path):
+    """Dead lights are left out of the table, their (black) frames are there; `extra` frames lead and trail."""
+    directions = ball.write_stage(tmp_path, LIGHTS, first=first)
+    for number in (*range(extra), *range(first + LIGHTS, first + LIGHTS + extra)):
+        for which in ("cross", "parallel"):
+            ball.write(tmp_path / f"cam00/{which}/{number:06d}.exr", np.full((16, 16, 3), 9, np.float32))
+    keep = [k for k in range(LIGHTS) if k not in dead]
+    for k in dead:
+        for which in ("cross", "parallel"):
+            ball.write(tmp_path / f"cam00/{which}/{k + first:06d}.exr", np.zeros((16, 16, 3), np.float32))
+    (tmp_path / "lights.csv").write_text(ball.lights_csv(directions[keep], [k + base for k in keep]))
+    capture = open_capture(tmp_path)
+    frames_fit(capture, directions[keep])
+    assert not any(
+        p.stem == f"{k + first:06d}" for k in dead if 0 < k < 11 for p in capture.light_stage.cameras["cam00"].full_light
+    )
+    assert not dead or set(dead) <= {0, 11} or "lights that the table leaves out" in " ".join(capture.facts)
+
+
+@pytest.mark.parametrize("frames", [13, 11, 15])
+def test_numbers_that_leave_the_first_light_open_ask_for_it(frames, tmp_path):
+    directions = ball.write_stage(tmp_path, frames)
+    kept = directions[:LIGHTS] if frames > LIGHTS else ball.light_directions(LIGHTS)
+    (tmp_path / "lights.csv").write_text(ball.lights_csv(kept))
+    with pytest.raises(UserError, match=r"lights\.csv: lists 12 lights .* first_frame"):
+        open_capture(tmp_path)
+    if frames > LIGHTS:
+        (tmp_path / "capture.toml").write_text("[olat]\nfirst_frame = 0\n")
+        frames_fit(open_capture(tmp_path), kept)
+
+
+@pytest.mark.parametrize("name", ["{:06d}_ev-2.exr", "{:06d}_v2.exr", "L{:03d}.exr", "take2_{:04d}_cam00.exr"])
+def test_of_several_numbers_in_a_name_the_one_that_changes_counts(name, tmp_path):
+    directions = ball.write_stage(tmp_path, LIGHTS, name=name)
+    (tmp_path / "lights.csv").write_text(ball.lights_csv(directions))
+    frames_fit(open_capture(tmp_path), directions)
+
+
+def test_frames_that_are_not_read_are_named(tmp_path):
+    (tmp_path / "lights.csv").write_text(ball.lights_csv(ball.light_directions(3)))
+    for which in ("cross", "parallel"):
+        (tmp_path / "cam00" / which).mkdir(parents=True)
+        for k in range(3):
+            (tmp_path / "cam00" / which / f"{k}.CR2").write_bytes(b"x")
+    with pytest.raises(UserError, match=r"holds no frame that is read, but 3 \.cr2 files"):
+        open_capture(tmp_path)
+
+
+def test_a_fractional_index_is_refused(tmp_path):
+    directions = ball.write_stage(tmp_path, 3)
+    (tmp_path / "lights.csv").write_text(ball.lights_csv(directions, [0, 1.5, 2]))
+    with pytest.raises(UserError, match=r"index 1\.5 is no whole number"):
+        open_capture(tmp_path)
+
+
+# ---- tables of photometric stereo ------------------------------------------------------------------------------------
+@pytest.mark.parametrize("order", [1, -1])
+def test_an_lp_table_names_each_lights_frame(order, tmp_path):
+    directions = ball.write_stage(tmp_path, LIGHTS, first=2)
+    rows = [f"images\\{k + 2:06d}.jpg {x:.9f} {y:.9f} {z:.9f}" for k, (x, y, z) in enumerate(directions)][::order]
+    (tmp_path / "dome.lp").write_text("\n".join([str(LIGHTS), *rows]) + "\n")
+    frames_fit(open_capture(tmp_path), directions[::order])
+
+
+def test_light_directions_with_names_and_intensities(tmp_path):
+    directions = ball.write_stage(tmp_path, LIGHTS, first=1, name="{:03d}.png")
+    np.savetxt(tmp_path / "light_directions.txt", directions)
+    np.savetxt(tmp_path / "light_intensities.txt", np.linspace(1, 2, LIGHTS)[:, None] * [1, 1, 1])
+    (tmp_path / "filenames.txt").write_text("".join(f"{k + 1:03d}.png\n" for k in range(LIGHTS)))
+    lights = open_capture(tmp_path).light_stage.lights
+    np.testing.assert_allclose(lights.directions, directions, atol=1e-6)
+    np.testing.assert_allclose(lights.intensity / lights.intensity[0], np.linspace(1, 2, LIGHTS), rtol=1e-6)
+
+
+@pytest.mark.parametrize("text", ["x\n", "3\na 0 0 1\n", "1\na 0 1\n", "1\na 0 0 up\n"])
+def test_a_damaged_lp_table_is_one_line(text, tmp_path):
+    ball.write_stage(tmp_path, 3)
+    (tmp_path / "dome.lp").write_text(text)
+    with pytest.raises(UserError) as caught:
+        open_capture(tmp_path)
+    assert caught.value.remedy and (not text[0].isdigit() or str(caught.value).startswith(str(tmp_path / "dome.lp")))
+
+
+def lit_from_around(root, count=13, name="{:03d}.png", ambient=0.0, size=96):
+    """Pictures of the ellipsoid by one camera under one light each; returns the directions."""
+    camera = ball.ring(1, size)[0]
+    right, down, back = (s * camera.world_to_camera[k, :3] for k, s in ((0, 1), (1, -1), (2, -1)))
+    turns = 2 * np.pi * np.arange(count) / count
+    lights = [0.8 * (np.cos(t) * right + np.sin(t) * down) + 0.6 * back for t in turns]
+    for k, light in enumerate(lights):
+        pixels = ball.picture(camera, light, ground=0.0)[0]
+        ball.write(root / name.format(k), ball.codes(0.9 * pixels + ambient, 16))
+    return np.array(lights)
+
+
+@pytest.mark.parametrize("table", ["light_directions.txt", "dome.lp", "lights.csv", "Dome RTI.LP", "LSX3_light_positions.txt"])
+@pytest.mark.parametrize("place", ["", "images/", "ballPNG/"])
+def test_a_light_table_beside_pictures_is_no_set_of_views(table, place, tmp_path):
+    for k in range(3):
+        ball.write(tmp_path / f"{place}{k:03d}.png", np.full((16, 16, 3), 900 * (k + 1), np.uint16))
+    text = {".txt": "0 0 1\n" * 3, ".csv": "index,x,y,z\n0,0,0,1\n"}.get(table[-4:], "3\n" + "000.png 0 0 1\n" * 3)
+    (tmp_path / (place if place != "images/" else "") / table).write_text(text)
+    with pytest.raises(UserError) as caught:
+        open_capture(tmp_path)
+    line = str(caught.value)
+    assert table in line and "cross polarised frames" in line and "parallel" in line and "cameras/cameraNN.txt" in line
+
+
+def test_a_linear_program_is_no_light_table(tmp_path):
+    for k in range(3):
+        ball.write(tmp_path / f"images/{k}.png", np.full((16, 16, 3), 900 * (k + 1), np.uint16))
+    (tmp_path / "model.lp").write_text("Maximize\n obj: x\n")
+    assert open_capture(tmp_path).layout == "photographs"
+
+
+# ---- one framing, told by the pictures -------------------------------------------------------------------------------
+@pytest.mark.parametrize("count", [6, 8, 13, 40])
+@pytest.mark.parametrize("ambient", [0.0, 0.08])
+@pytest.mark.parametrize("name", ["{:03d}.png", "images/IMG_{:04d}.png"])
+def test_one_framing_under_changing_light_is_refused(count, ambient, name, tmp_path):
+    lit_from_around(tmp_path, count, name, ambient)
+    with pytest.raises(UserError, match=r"one framing under changing light.*light table"):
+        open_capture(tmp_path)
+    (tmp_path / "capture.toml").write_text('layout = "photographs"\n')
+    assert len(open_capture(tmp_path).views) == count
+
+
+def test_one_framing_a_folder_is_refused_too(tmp_path):
+    """Passes without a light table, or cameras of a dome: each folder has a framing of its own."""
+    lit_from_around(tmp_path, 8, "left/{:03d}.png")
+    for k in range(8):
+        pixels = read_image(tmp_path / f"left/{k:03d}.png")
+        ball.write(tmp_path / f"right/{k:03d}.png", ball.codes(pixels[:, ::-1]))
+    with pytest.raises(UserError, match="one framing"):
+        open_capture(tmp_path)
+
+
+def test_an_ambient_picture_among_them_does_not_hide_it(tmp_path):
+    lit_from_around(tmp_path, 8, "image{}.png")
+    camera = ball.ring(1, 96)[0]
+    ball.write(tmp_path / "image_ambient.png", ball.codes(0.3 * ball.picture(camera, -ball.SUN, ground=0.0)[0]))
+    with pytest.raises(UserError, match="one framing"):
+        open_capture(tmp_path)
+
+
+BACKGROUND = np.random.default_rng(1).uniform(0.1, 0.6, (96, 96, 1)).astype(np.float32) * np.ones(3, np.float32)
+
+
+def turntable(count, span=360.0, texture=1.0, ground=None):
+    camera = ball.ring(1, 96)[0]
+    for k in range(count):
+        colour, _, mask = ball.picture(camera, turn_deg=span * k / count, texture=texture, ground=0.0)
+        yield colour if ground is None else np.where(mask[..., None], colour, ground)
+
+
+def around(count, texture=1.0):
+    for camera in ball.ring(count, 96):
+        yield ball.picture(camera, texture=texture)[0]
+
+
+def dial(count):
+    stokes = ball.picture(ball.ring(1, 96)[0])[1].copy()
+    stokes[:, :, 1:] *= 2  # DoLP up to 0.7
+    for k in range(count):
+        yield ball.behind(stokes, 180 * k / count)
+
+
+def bracket(count):
+    colour = ball.picture(ball.ring(1, 96)[0])[0]
+    for k in range(count):
+        yield np.minimum(colour * 2.0 ** (k - count + 2), 1)
+
+
+def sliding(count, most):
+    """A textured plane that slides by up to `most` pixels, as small steps of a camera do."""
+    from scipy.ndimage import gaussian_filter, shift
+
+    plane = gaussian_filter(np.random.default_rng(2).uniform(0, 1, (130, 130)), 2)
+    plane = (plane - plane.min()) / np.ptp(plane)
+    for k in range(count):
+        turn = 2 * np.pi * k / count
+        yield shift(plane, (most * np.cos(turn), most * np.sin(turn)), order=1)[17:113, 17:113, None] * np.ones(3)
+
+
+VIEWS = {
+    "all around": lambda: around(12),
+    "all around, even": lambda: around(12, 0.0),
+    "six views": lambda: around(6),
+    "turntable": lambda: turntable(12),
+    "turntable before a still background": lambda: turntable(12, ground=BACKGROUND),
+    "turntable before white": lambda: turntable(8, ground=0.9),
+    "an even object on a turntable": lambda: turntable(12, texture=0.0, ground=BACKGROUND),
+    "a few degrees of a turntable": lambda: turntable(10, 30.0, ground=BACKGROUND),
+    "a quarter turn": lambda: turntable(8, 90.0),
+    "a dial": lambda: dial(12),
+    "a bracket": lambda: bracket(7),
+    "a sliding camera": lambda: sliding(12, 15.0),
+    "a camera that hardly moves": lambda: sliding(12, 1.5),
+    "two pictures": lambda: around(2),
+}
+
+
+@pytest.mark.parametrize("what", VIEWS)
+def test_views_stacks_and_brackets_are_not_taken_for_one_framing(what, tmp_path):
+    for k, pixels in enumerate(VIEWS[what]()):
+        ball.write(tmp_path / f"images/IMG_{k:04d}.png", ball.codes(pixels))
+    capture = open_capture(tmp_path)
+    assert capture.layout == "photographs" and not capture.warnings
+
+
+def test_the_limits_keep_a_margin_on_both_sides(tmp_path):
+    """Of every figure the nearest view or light stage of this file stays off the limit by a tenth of the gap."""
+    lit_from_around(tmp_path, 12)
+    lit = framing(np.stack([read_image(p)[..., :3].mean(-1) for p in sorted(tmp_path.glob("*.png"))]).astype(float))
+    assert lit.explained > 0.95 and lit.in_place < 0.4 and lit.strength > 0.4
+    for what in ("all around", "turntable", "a quarter turn", "a sliding camera"):
+        views = framing(np.stack([p.mean(-1) for p in VIEWS[what]()]).astype(float))
+        assert views.explained < 0.8 or views.in_place > 0.7, what
