@@ -131,6 +131,9 @@ def _show(call: Call) -> int:
         print(hint)
     for warning in expected_warnings(call.capture.warnings, call.dataset, found):
         print(f"warning: {warning}")
+    for step in steps:
+        if not found[step.stage.name].ready:
+            step.stage.check(call.capture)
     if call.command == "inspect":
         folder = call.dataset.root.with_name(call.dataset.root.name + "-inspect")
         print(f"inspection: {call.program.inspect(call.capture, steps, folder, found)}")
@@ -170,6 +173,9 @@ def _bring_up_to_date(call: Call, steps: list[Step]) -> int:
     kept = remember(call.last, call.settings, set(found), call.stages)
     if call.options.device == "cuda" and any(s.stage.device and not found[s.stage.name].ready for s in wanted):
         _check_cuda()
+    for step in wanted:
+        if not found[step.stage.name].ready:
+            step.stage.check(call.capture)
     _describe(call, steps, kept)
     _announce(call, steps, found)
     made = [s.stage.name for s in wanted if _bring(call, s)]

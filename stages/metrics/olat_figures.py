@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.capture.light_stage.folders import home_of
-from pipeline.errors import UserError
+from pipeline.formats.arrays import array_names, read_array
 from pipeline.formats.images import read_exr, read_image
 
 from .image_figures import angle_deg, erode
@@ -82,11 +82,8 @@ def _camera(folder: Path, capture: Path) -> Table:
 
 
 def _load(path: Path) -> dict[str, NDArray]:
-    try:
-        with np.load(path) as maps:
-            return {name: maps[name] for name in maps.files}
-    except (OSError, ValueError) as error:
-        raise UserError(path, f"cannot be read ({error})", "mend or remove it") from error
+    wanted = ("mask", "normal", "albedo", "dp_du")
+    return {name: read_array(path, name) for name in array_names(path) if name in wanted}
 
 
 def _lobe(part: Table, folder: Path, capture: Path, truth: dict[str, NDArray] | None, inside: NDArray) -> None:
@@ -98,6 +95,9 @@ def _lobe(part: Table, folder: Path, capture: Path, truth: dict[str, NDArray] | 
     true = json.loads(path.read_text())["sigma"]
     part.figures["sigma_rel_error"] = [abs(x / y - 1) for x, y in zip(part.figures["sigma_median"], sorted(true, reverse=True))]
     if true[0] == true[1]:
+        return
+    if "dp_du" not in truth:
+        part.missing(["tangent_median_deg"], f"{folder.name}/gt/maps.npz has no dp_du")
         return
     normal, along_u = truth["normal"][inside], truth["dp_du"][..., :3][inside].astype(np.float64)
     u = along_u - normal * (along_u * normal).sum(-1, keepdims=True)

@@ -26,6 +26,13 @@ def capture_files(capture: Capture) -> Iterable[Path]:
     return [p for p in loose if p.is_file()] + folder
 
 
+def check(capture: Capture) -> None:
+    """Raise UserError where the ground truth cannot be used."""
+    from .truth_check import check_truth
+
+    check_truth(capture, capture_files(capture))
+
+
 def run(run: StageRun) -> None:
     """Write metrics.json and report.html."""
     from .run import measure
@@ -41,5 +48,6 @@ STAGE = Stage(
     needed=needed,
     run=run,
     capture_files=capture_files,
+    check=check,
     config=("up", "olat"),
 )

@@ -10,6 +10,7 @@ import numpy as np
 from pipeline.capture.light_stage.folders import home_of
 from pipeline.capture.naming.safe_names import environment_name
 from pipeline.engine.stage import StageRun
+from pipeline.formats.arrays import read_array
 from pipeline.formats.images import read_image
 from pipeline.report import pictures
 from pipeline.report.pictures import picture
@@ -44,8 +45,7 @@ def _maps(run: StageRun, folder: Path) -> list[dict[str, str]]:
     add(pictures.scale(one("specular_albedo"), 0, 1, mask=there), "specular albedo", "ρ_s, 0 to 1")
     truth = home_of(run.capture.root, folder.name) / "gt" / "maps.npz"
     if truth.is_file():
-        with np.load(truth) as maps:
-            true, inside = maps["normal"], maps["mask"] > 0.5
+        true, inside = read_array(truth, "normal"), read_array(truth, "mask") > 0.5
         if true.shape == normal.shape:
             add(pictures.normals(true), "normals", "truth")
             error = np.degrees(np.arccos(np.clip((true * normal).sum(-1), -1, 1)))
