@@ -41,12 +41,12 @@ def refuse_unsafe_names(capture: Capture) -> None:
 def refuse_special_files(root: Path) -> None:
     """Raise UserError where a folder holds a pipe, a socket or a device, which would be read for ever."""
     for entry in _entries(root):
-        if entry.is_file() or entry.is_dir():
-            continue
         try:
+            if entry.is_file() or entry.is_dir():
+                continue
             mode = entry.stat().st_mode
         except OSError:
-            continue  # a link to nothing
+            continue  # a link to nothing, or to itself
         if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
             raise UserError(entry.path, "is a pipe, a socket or a device, not a file", "remove it from the capture")
 
