@@ -32,7 +32,7 @@ from stages.calib.decode.stage import STAGE as DECODE
 from stages.calib.poses.stage import STAGE as POSES
 from tests.capture import conftest
 from tests.capture.conftest import Scene, frame
-from tests.capture.mutations import MUTATIONS, files_of
+from tests.capture.mutations import MUTATIONS
 
 TRIES = int(os.environ.get("POLARFIELD_FUZZ", "200"))
 ONLY = os.environ.get("POLARFIELD_FUZZ_SEED")
