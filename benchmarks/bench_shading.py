@@ -15,6 +15,7 @@ import json
 import os
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -87,12 +88,11 @@ def speed(points: int = 10_000) -> dict:
         both = median_ms(lambda p=prefilter, r=radiance, o=ones: p.apply(r).packed.backward(o))
         out[f"prefilter {resolution} forward_ms"], out[f"prefilter {resolution} backward_ms"] = forward, both - forward
         light = prefilter.apply(radiance.detach())
-        leaf = LightField(light.packed.detach().requires_grad_(), light.roughnesses, light.specular, light.cosine,
-                          light.transmitted, light.lobe)  # fmt: skip
+        leaf = replace(light, packed=light.packed.detach().requires_grad_())
         functions: dict[str, Callable] = {"fused split": shade}
         if resolution == 32:
             functions["plain split"] = shading.plain
-            for mirror in ("lobe-4", "lobe-12", "lobe-24"):
+            for mirror in ("lobe-4", "lobe-12", "lobe-24", "tree"):
                 functions[f"fused {mirror}"] = partial(shade, mirror=mirror)
         for name, function in functions.items():
             call = lambda f=function, l=leaf: f(*free, x, torch.linalg.cross(x, -view), l)  # noqa: E731

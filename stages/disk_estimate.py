@@ -5,11 +5,16 @@ from __future__ import annotations
 from collections.abc import Container
 
 from pipeline.capture import Capture
+from pipeline.capture.view_rules import TEST_EVERY
+from pipeline.formats.gbuffer import CHANNELS, PARTS
+from pipeline.formats.images import STOKES
 
 MEBI = 2**20
 # Compressed bytes of a float EXR value, as seen on the project's own images (zip halves noise, blacks cost nothing).
 BYTES_PER_VALUE = 1.6
-GBUFFER_CHANNELS, TEST_CHANNELS, STOKES_CHANNELS, MAP_CHANNELS = 10, 25, 9, 31
+STOKES_CHANNELS, MAP_CHANNELS = len(STOKES), 31
+MODEL_CHANNELS = len(CHANNELS) + (len(STOKES) + 3 * len(PARTS) + len(CHANNELS)) / TEST_EVERY
+"""A pixel of the train stage: a G-buffer of every view, and everything of the views that are held back."""
 
 
 def disk_estimate(capture: Capture, stages: Container[str]) -> list[tuple[str, float]]:
@@ -26,7 +31,7 @@ def disk_estimate(capture: Capture, stages: Container[str]) -> list[tuple[str, f
         channels = 3 if capture.polarisation != "stokes" else STOKES_CHANNELS
         per_stage = {
             "decode": pixels * channels * BYTES_PER_VALUE / MEBI, "poses": 0.1 if capture.cameras else pixels / 4 / MEBI,
-            "masks": pixels / 8 / MEBI, "train": pixels * (GBUFFER_CHANNELS + TEST_CHANNELS / 8) * BYTES_PER_VALUE / MEBI + 4,
+            "masks": pixels / 8 / MEBI, "train": pixels * MODEL_CHANNELS * BYTES_PER_VALUE / MEBI + 4,
             "mesh": 8.0, "relight": pixels * (STOKES_CHANNELS + 1) * BYTES_PER_VALUE * len(capture.environments) / MEBI,
             "metrics": 3.0,
         }  # fmt: skip

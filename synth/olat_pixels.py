@@ -67,6 +67,20 @@ def beckmann(h: Float, n: Float, t: Float, sigma: Float, no: Float, i: Float, o:
     return d * g1(i) * g1(o) / (4 * no)
 
 
+def ggx(h: Float, n: Float, t: Float, sigma: Float, no: Float, i: Float, o: Float) -> Float:
+    """Anisotropic GGX (Trowbridge-Reitz) lobe D G / (4 n·o), Smith's separable G (Heitz 2014)."""
+    b = np.cross(n, t)
+    x, y, z = (np.sum(h * v, -1) for v in (t, b, n))
+    squares = (x / sigma[..., 0]) ** 2 + (y / sigma[..., 1]) ** 2 + z**2
+    d = 1 / (np.pi * sigma[..., 0] * sigma[..., 1] * squares**2)
+
+    def g1(v: Float) -> Float:
+        slope = np.hypot(np.sum(v * t, -1) * sigma[..., 0], np.sum(v * b, -1) * sigma[..., 1])
+        return 2 / (1 + np.sqrt(1 + (slope / np.maximum(np.sum(v * n, -1), 1e-6)) ** 2))
+
+    return d * g1(i) * g1(o) / (4 * no)
+
+
 def make(
     count: int,
     *,
@@ -83,7 +97,8 @@ def make(
     """`count` pixels of random normals up to `tilt_deg` from the view, albedos and widths (or the given ones).
 
     noise: standard deviation of a stored sample; clip: its largest value; shadow: each pixel loses the lights within this
-    angle (rad) of a direction about 50 degrees off its normal; views: spread of the view directions (rad) about `VIEW`.
+    angle (rad) of a direction about 50 degrees off its normal; lobe: "ward", "beckmann" or "ggx"; views: spread of the view
+    directions (rad) about `VIEW`.
     Irradiance pi a light, specular factor 2.
     """
     rng = np.random.default_rng(seed)
@@ -102,7 +117,7 @@ def make(
     if lobe == "ward":
         g = ward(h, normal, tangent, widths, no)
     else:
-        g = beckmann(h, normal, tangent, widths, no, np.broadcast_to(i, h.shape), view)
+        g = {"beckmann": beckmann, "ggx": ggx}[lobe](h, normal, tangent, widths, no, np.broadcast_to(i, h.shape), view)
     lit = cosine > 0
     if shadow > 0:
         across = unit(np.cross(normal, rng.normal(size=(count, 3))))

@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.formats.backdrop import grown
 from pipeline.formats.images import STOKES, read_image, write_exr, write_png, write_rgb
+from pipeline.formats.ply import write_ply
 from pipeline.geometry.cameras import camera_from_opengl
 
 from . import scene
@@ -88,9 +90,7 @@ def _write_geometry(truth: Path, name: str, lit: Any, view: Any, pose: NDArray, 
 
 def _touches(empty: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Pixels that are empty or have an empty neighbour."""
-    padded = np.pad(empty, 1, constant_values=True)
-    h, w = empty.shape
-    return np.logical_or.reduce([padded[dy : dy + h, dx : dx + w] for dy in range(3) for dx in range(3)])
+    return grown(np.pad(empty, 1, constant_values=True))[1:-1, 1:-1]
 
 
 def _write_transforms(path: Path, poses: list[NDArray], size: int, focal: float) -> None:
@@ -104,12 +104,5 @@ def _write_transforms(path: Path, poses: list[NDArray], size: int, focal: float)
 
 def write_mesh(path: Path, shape: Shape) -> None:
     """The shape as an ASCII PLY triangle mesh."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    head = [
-        "ply", "format ascii 1.0", f"element vertex {len(shape.vertices)}",
-        *(f"property float {k}" for k in ("x", "y", "z", "nx", "ny", "nz")),
-        f"element face {len(shape.faces)}", "property list uchar int vertex_indices", "end_header",
-    ]  # fmt: skip
-    vertices = [" ".join(f"{x:.6g}" for x in row) for row in np.c_[shape.vertices, shape.normals]]
-    faces = [f"3 {a} {b} {c}" for a, b, c in shape.faces]
-    path.write_text("\n".join([*head, *vertices, *faces]) + "\n")
+    columns = np.c_[shape.vertices, shape.normals].T
+    write_ply(path, dict(zip(("x", "y", "z", "nx", "ny", "nz"), columns)), shape.faces, text=True)

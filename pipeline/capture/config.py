@@ -8,15 +8,20 @@ from __future__ import annotations
 
 import dataclasses
 import tomllib
-import types
-import typing
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from pipeline.errors import UserError
+from pipeline.formats.typed_values import filled
+from pipeline.geometry.world import UP_AXES
 
-UP_AXES = ("y", "-y", "z", "-z", "x", "-x")
+MARKERS = (
+    *(f"{n}X{n}_{count}" for n in (4, 5, 6, 7) for count in (50, 100, 250, 1000)),
+    *("ARUCO_ORIGINAL", "ARUCO_MIP_36H12", "APRILTAG_16H5", "APRILTAG_25H9", "APRILTAG_36H10", "APRILTAG_36H11"),
+)
+"""OpenCV's predefined marker dictionaries, upper case."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +46,8 @@ class PolariserConfig:
 class RadiometryConfig:
     """From stored numbers to linear radiance. Levels are in the file's own numbers (None: the file tells).
 
-    `saturation` is a fraction of the white level; `exposure_s` maps VIEW (or file stem) to seconds;
+    `saturation` is a fraction of the white level; `exposure_s` maps VIEW (or file name) to seconds; `exif_exposure`: whether
+    exposures that differ between files' headers are divided out (None: unless the pixels contradict them);
     `dark_frame` and `flat_field` are image files relative to the capture; `white_balance` multiplies R, G, B.
     """
 
@@ -50,6 +56,7 @@ class RadiometryConfig:
     encoding: str | None = None
     saturation: float | None = None
     exposure_s: dict[str, float] = field(default_factory=dict)
+    exif_exposure: bool | None = None
     dark_frame: str | None = None
     flat_field: str | None = None
     white_balance: tuple[float, ...] | None = None
@@ -77,6 +84,18 @@ class StackConfig:
     clockwise: bool = False
     zero_deg: float = 0.0
     align: bool = False
+
+
+@dataclass(frozen=True)
+class RawConfig:
+    """Bare samples without a header (.raw): what the file cannot tell. `format` as GenICam names it (Mono8, Mono12p,
+    Mono12Packed, BayerRG16, ...); `offset`: bytes before the first sample."""
+
+    width: int | None = None
+    height: int | None = None
+    format: str | None = None
+    offset: int = 0
+    big_endian: bool = False
 
 
 @dataclass(frozen=True)
@@ -117,6 +136,7 @@ class CaptureConfig:
     radiometry: RadiometryConfig = RadiometryConfig()
     mosaic: MosaicConfig = MosaicConfig()
     stack: StackConfig = StackConfig()
+    raw: RawConfig = RawConfig()
     olat: OlatConfig = OlatConfig()
     poses: PosesConfig = PosesConfig()
     stage: dict[str, dict[str, Any]] = field(default_factory=dict)
@@ -130,57 +150,13 @@ def load_config(root: Path) -> CaptureConfig:
         return CaptureConfig()
     try:
         table = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
         raise UserError(path, f"is not valid TOML: {error}", "correct it; docs/captures.md has an example") from None
-    config = _fill(CaptureConfig, table, path, "", hidden=("path",))
+    except RecursionError:
+        raise UserError(path, "is not valid TOML: nested too deeply", "correct it; docs/captures.md has an example") from None
+    config = filled(CaptureConfig, table, "", str(path), hidden=("path",))
     _check(config, path)
     return dataclasses.replace(config, path=path)
-
-
-def _fill(cls: Any, table: dict[str, Any], path: Path, prefix: str, hidden: tuple[str, ...] = ()) -> Any:
-    hints = typing.get_type_hints(cls)
-    known = [f.name for f in dataclasses.fields(cls) if f.name not in hidden]
-    values = {}
-    for key, value in table.items():
-        if key not in known:
-            raise UserError(path, f"unknown key {prefix}{key}", f"known here: {', '.join(known)}")
-        values[key] = _convert(hints[key], value, path, f"{prefix}{key}")
-    return cls(**values)
-
-
-def _convert(hint: Any, value: Any, path: Path, key: str) -> Any:
-    """`value` as the type `hint`; only the few kinds of type that the tables above use."""
-    if isinstance(hint, types.UnionType):
-        hint = next(a for a in typing.get_args(hint) if a is not type(None))
-    origin, arguments = typing.get_origin(hint), typing.get_args(hint)
-    wrong = UserError(path, f"{key} = {value!r} is not {_spoken(hint)}", "correct the value")
-    if dataclasses.is_dataclass(hint):
-        if not isinstance(value, dict):
-            raise wrong
-        return _fill(hint, value, path, f"{key}.")
-    if origin is dict:
-        if not isinstance(value, dict):
-            raise wrong
-        return {str(k): _convert(arguments[1], v, path, f"{key}.{k}") for k, v in value.items()}
-    if origin is tuple:
-        if not isinstance(value, list):
-            raise wrong
-        return tuple(_convert(arguments[0], v, path, f"{key}[{i}]") for i, v in enumerate(value))
-    if hint is Any:
-        return value
-    if hint is float:
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise wrong
-        return float(value)
-    if not isinstance(value, hint) or (hint is int and isinstance(value, bool)):
-        raise wrong
-    return value
-
-
-def _spoken(hint: Any) -> str:
-    names = {float: "a number", int: "a whole number", bool: "true or false", str: "text"}
-    origin = typing.get_origin(hint)
-    return names.get(hint) or {dict: "a table", tuple: "a list"}.get(origin) or "a table"
 
 
 def _check(config: CaptureConfig, path: Path) -> None:
@@ -192,6 +168,7 @@ def _check(config: CaptureConfig, path: Path) -> None:
 
     refuse(config.up is not None and config.up not in UP_AXES, "up", config.up, f"one of {', '.join(UP_AXES)}")
     refuse(config.unit_m is not None and config.unit_m <= 0, "unit_m", config.unit_m, "above 0")
+    _check_poses(config.poses, refuse)
     refuse(config.stokes.scale == 0, "stokes.scale", config.stokes.scale, "a factor other than 0")
     radiometry = config.radiometry
     refuse(
@@ -199,6 +176,9 @@ def _check(config: CaptureConfig, path: Path) -> None:
     )
     refuse(radiometry.saturation is not None and not 0 < radiometry.saturation <= 1,
            "radiometry.saturation", radiometry.saturation, "a fraction of the white level in (0, 1]")  # fmt: skip
+    white, black = radiometry.white_level, radiometry.black_level
+    refuse(white is not None and white <= (black or 0.0), "radiometry.white_level", white,
+           f"above the black level ({black or 0.0:g})")  # fmt: skip
     for view, seconds in radiometry.exposure_s.items():
         refuse(seconds <= 0, f"radiometry.exposure_s.{view}", seconds, "above 0 seconds")
     balance = radiometry.white_balance
@@ -220,7 +200,23 @@ def _check(config: CaptureConfig, path: Path) -> None:
         mosaic.bayer.upper() not in ("RGGB", "BGGR", "GRBG", "GBRG"), "mosaic.bayer", mosaic.bayer, "RGGB, BGGR, GRBG or GBRG"
     )
     refuse(mosaic.demosaic not in ("carriers", "bilinear"), "mosaic.demosaic", mosaic.demosaic, '"carriers" or "bilinear"')
+    for side in ("width", "height"):
+        number = getattr(config.raw, side)
+        refuse(number is not None and number <= 0, f"raw.{side}", number, "a number of pixels")
+    refuse(config.raw.offset < 0, "raw.offset", config.raw.offset, "a number of bytes")
     refuse(config.olat.irradiance <= 0, "olat.irradiance", config.olat.irradiance, "above 0")
+    refuse(config.olat.specular_factor <= 0, "olat.specular_factor", config.olat.specular_factor, "above 0")
     for name, polariser in config.polarisers.items():
         extinction = polariser.extinction
         refuse(extinction is not None and extinction <= 1, f"polarisers.{name}.extinction", extinction, "above 1")
+
+
+def _check_poses(poses: PosesConfig, refuse: Callable[[bool, str, object, str], None]) -> None:
+    for key in ("focal_px", "scale_distance", "marker_length"):
+        value = getattr(poses, key)
+        refuse(value is not None and value <= 0, f"poses.{key}", value, "above 0")
+    pair = poses.scale_pair
+    refuse(pair is not None and len(set(pair)) != 2, "poses.scale_pair", pair, "two views")
+    refuse((pair is None) != (poses.scale_distance is None), "poses.scale_pair", pair, "given with a scale_distance")
+    refuse(poses.marker_dictionary.upper() not in MARKERS, "poses.marker_dictionary", poses.marker_dictionary,
+           f"one of OpenCV's: {', '.join(MARKERS[:4])}, ... {MARKERS[-1]}")  # fmt: skip

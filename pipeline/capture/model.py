@@ -11,7 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.capture.config import CaptureConfig
+from pipeline.formats.ground_truth import Truth
 from pipeline.geometry.cameras import Camera
+
+Polarisation = Literal["stokes", "polarisers", "none"]
+"""What is known of a view's polarisation: its Stokes vectors, its radiance behind a polariser, or nothing."""
 
 
 @dataclass(frozen=True)
@@ -56,13 +60,15 @@ class DecodedView:
 
 @dataclass(frozen=True)
 class ViewSource:
-    """One view before decoding: its files, the physical camera behind it, and how to read it."""
+    """One view before decoding: its files, the physical camera behind it, and how to read it; `paged`: one file holds
+    several images, and none of its channels is alpha."""
 
     view: str
     paths: tuple[Path, ...]
     camera: str
     loader: Callable[[], DecodedView] = field(repr=False, compare=False)
     size: tuple[int, int] | None = None
+    paged: bool = False
 
     def read(self) -> DecodedView:
         """Decode this view. Raises UserError naming the file that is unreadable, truncated or of another size."""
@@ -119,7 +125,7 @@ class Capture:
     root: Path
     layout: str
     kind: Literal["multiview", "light_stage"]
-    polarisation: Literal["stokes", "polarisers", "none"]
+    polarisation: Polarisation
     views: tuple[ViewSource, ...] = ()
     light_stage: LightStage | None = None
     environments: tuple[Path, ...] = ()
@@ -141,6 +147,17 @@ class Capture:
         if self.light_stage is not None:
             return tuple(sorted(self.light_stage.cameras))
         return tuple(sorted({view.camera for view in self.views}))
+
+    @property
+    def camera_file(self) -> Path:
+        """The file that its cameras are read from (readers list it first), else the folder."""
+        pictures = {path for view in self.views for path in view.paths}
+        return next((path for path in self.files if path not in pictures), self.root)
+
+    @property
+    def truth(self) -> Truth:
+        """What the folder holds of ground truth."""
+        return Truth(self.root, tuple(sorted(view.view for view in self.views)))
 
     def view(self, name: str) -> ViewSource:
         """The view called `name`; KeyError if there is none."""

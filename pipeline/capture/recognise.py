@@ -13,6 +13,7 @@ from pipeline.capture.naming.safe_names import refuse_special_files
 from pipeline.capture.recognition.foreign import foreign_warnings, refuse_unreadable
 from pipeline.capture.recognition.told_tables import refuse_idle_tables
 from pipeline.errors import UserError
+from pipeline.geometry.camera_check import refuse_one_place
 
 SHOWN = 12
 """Entries of an unknown folder that its error message lists."""
@@ -60,6 +61,8 @@ def open_capture(path: Path | str) -> Capture:
 
 
 def _checked(capture: Capture) -> Capture:
-    """The capture, its capture.toml held against it, with warnings for files among its images that nobody here reads."""
+    """The capture, if what its parts say fits together, with warnings for files among its images that nobody here reads."""
+    if capture.kind == "multiview" and capture.cameras:
+        refuse_one_place(capture.cameras, capture.camera_file)
     refuse_idle_tables(capture)
     return replace(capture, warnings=(*capture.warnings, *foreign_warnings(capture)))

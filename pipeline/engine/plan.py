@@ -70,7 +70,7 @@ def make_plan(
     steps: dict[str, Step] = {}
     for name, stage in stages.items():
         from_file = capture.config.stage.get(name, {})
-        parameters_from(stage, from_file, str(capture.config.path))  # so that a fault there is laid at its door
+        parameters_from(stage, from_file, str(capture.config.path), text=False)  # so that a fault there is laid at its door
         parameters = parameters_from(stage, {**from_file, **overrides.get(name, {})}, "PARAMS")
         decision = stage.needed(capture, parameters)
         if not decision.run:

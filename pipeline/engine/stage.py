@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import types
 import typing
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from pipeline.engine.progress import Progress
 from pipeline.errors import UserError, nearest
+from pipeline.formats.typed_values import typed
 
 if TYPE_CHECKING:
     from pipeline.capture import Capture
@@ -96,8 +96,11 @@ class StageRun:
         self.facts[key] = value
 
 
-def parameters_from(stage: Stage, overrides: Mapping[str, Any], source: str) -> Any:
-    """The stage's parameters with `overrides` (strings or TOML values) applied. Raises UserError naming the key."""
+def parameters_from(stage: Stage, overrides: Mapping[str, Any], source: str, text: bool = True) -> Any:
+    """The stage's parameters with `overrides` applied: as written in a call, or (not `text`) as TOML reads them.
+
+    Raises UserError naming the key.
+    """
     types_by_name = typing.get_type_hints(stage.parameters)
     known = [f.name for f in dataclasses.fields(stage.parameters)]
     values = {}
@@ -105,38 +108,8 @@ def parameters_from(stage: Stage, overrides: Mapping[str, Any], source: str) -> 
         name = key.replace("-", "_")
         if name not in known:
             raise UserError(source, f"{stage.name} has no parameter {key!r}", nearest(key, known))
-        values[name] = _convert(value, types_by_name[name], f"{stage.name}.{key}", source)
+        values[name] = typed(value, types_by_name[name], f"{stage.name}.{key}", source, text)
     try:
         return stage.parameters(**values)
     except ValueError as error:
         raise UserError(source, f"{stage.name}: {error}", "choose another value") from error
-
-
-def _convert(value: Any, kind: Any, key: str, source: str) -> Any:
-    origin, arguments = typing.get_origin(kind), typing.get_args(kind)
-    if origin is typing.Literal:
-        if str(value) not in map(str, arguments):
-            raise UserError(source, f"{key} = {value!r} is unknown", nearest(str(value), map(str, arguments)))
-        return next(a for a in arguments if str(a) == str(value))
-    if origin in (types.UnionType, typing.Union):
-        if value is None or str(value).lower() in ("none", ""):
-            return None
-        return _convert(value, next(a for a in arguments if a is not type(None)), key, source)
-    if origin is tuple:
-        parts = value if isinstance(value, list | tuple) else str(value).replace(",", " ").split()
-        return tuple(_convert(p, arguments[0], key, source) for p in parts)
-    if kind is bool:
-        text = str(value).lower()
-        if text not in ("true", "false", "1", "0", "yes", "no", "on", "off"):
-            raise UserError(source, f"{key} = {value!r} is not true or false", "write true or false")
-        return text in ("true", "1", "yes", "on")
-    try:
-        if kind is int and float(value) != int(float(value)):
-            raise ValueError
-        return int(float(value)) if kind is int else kind(value)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise UserError(source, f"{key} = {value!r} is not {_article(kind)}", "mend the value") from error
-
-
-def _article(kind: Any) -> str:
-    return {int: "a whole number", float: "a number"}.get(kind, f"a {getattr(kind, '__name__', kind)}")

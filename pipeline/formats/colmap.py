@@ -3,22 +3,30 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import UserError
-from pipeline.geometry.cameras import Camera
+from pipeline.geometry.camera_check import check_camera
+from pipeline.geometry.cameras import Camera, camera_from_frame, opengl_from_camera
+from pipeline.geometry.lens_keys import coefficient_names
 
 # COLMAP's models by id: name and number of parameters (colmap/src/colmap/sensor/models.h).
 MODELS = {
     0: ("SIMPLE_PINHOLE", 3), 1: ("PINHOLE", 4), 2: ("SIMPLE_RADIAL", 4), 3: ("RADIAL", 5), 4: ("OPENCV", 8),
     5: ("OPENCV_FISHEYE", 8), 6: ("FULL_OPENCV", 12), 7: ("FOV", 5), 8: ("SIMPLE_RADIAL_FISHEYE", 4),
     9: ("RADIAL_FISHEYE", 5), 10: ("THIN_PRISM_FISHEYE", 12), 11: ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
+    12: ("SIMPLE_DIVISION", 4), 13: ("DIVISION", 5), 14: ("SIMPLE_FISHEYE", 3), 15: ("FISHEYE", 4), 16: ("EUCM", 6),
+    17: ("EQUIRECTANGULAR", 2),
 }  # fmt: skip
+PARAMETERS = dict(MODELS.values())
+ONE_FOCAL = {"SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "SIMPLE_DIVISION",
+             "SIMPLE_FISHEYE"}  # fmt: skip
+POINT_BYTES = 51  # of points3D.bin, without a track
 FILES = ("cameras", "images", "points3D")
 PLACES = (
     ("sparse/*", "sparse"),
@@ -77,7 +85,7 @@ def model_files(folder: Path) -> tuple[Path, ...]:
 
 
 def read_model(folder: Path) -> ColmapModel:
-    """Read a model folder. Raises UserError naming the file that is malformed or a lens model that is not understood."""
+    """Read a model folder. Raises UserError naming the file that is malformed or holds what can be no camera."""
     files = {p.stem: p for p in model_files(folder)}
     binary = files["cameras"].suffix == ".bin"
     at = files["cameras"]
@@ -90,36 +98,49 @@ def read_model(folder: Path) -> ColmapModel:
             at = files["points3D"]
             points, colours = _points_bin(at.read_bytes()) if binary else _points_txt(at.read_text())
         at = files["images"]
-        cameras = {}
-        for name, camera_id, matrix in images:
-            cameras[name] = _camera(*lenses[camera_id], matrix, files["cameras"])
-    except (struct.error, ValueError, IndexError, KeyError, UnicodeDecodeError) as error:
+        cameras = {name: _camera(lenses[camera_id], matrix, files, name) for name, camera_id, matrix in images}
+    except (struct.error, ValueError, IndexError, KeyError, OverflowError, UnicodeDecodeError) as error:
         raise UserError(at, f"is not a COLMAP model ({type(error).__name__}: {error})", "export the model again") from None
     if not cameras:
         raise UserError(files["images"], "the COLMAP model has no registered image", "delete it to find the cameras anew")
     return ColmapModel(cameras, points, colours)
 
 
-def _camera(model: str, width: int, height: int, p: list[float], matrix: NDArray[np.float64], path: Path) -> Camera:
-    if model == "SIMPLE_PINHOLE":
-        f, c, k = (p[0], p[0]), p[1:3], tuple[float, ...]()
-    elif model == "PINHOLE":
-        f, c, k = (p[0], p[1]), p[2:4], ()
-    elif model == "SIMPLE_RADIAL":
-        f, c, k = (p[0], p[0]), p[1:3], (p[3], 0.0, 0.0, 0.0)
-    elif model == "RADIAL":
-        f, c, k = (p[0], p[0]), p[1:3], (p[3], p[4], 0.0, 0.0)
-    elif model == "OPENCV" or (model == "FULL_OPENCV" and not any(p[8:])):
-        f, c, k = (p[0], p[1]), p[2:4], tuple(p[4:8])
+Lens = tuple[str, int, int, list[float]]
+
+
+def _camera(lens: Lens, matrix: NDArray[np.float64], files: Mapping[str, Path], image: str) -> Camera:
+    """One image's camera, checked: a fault of the pose is images', one of the lens is cameras'."""
+    model, width, height, numbers = lens
+    pose = Camera(1, 1, 1.0, 1.0, 0.5, 0.5, matrix)
+    check_camera(pose, files["images"], f"image {image}")
+    if PARAMETERS.get(model) != len(numbers):
+        fault = f"{len(numbers)} parameters for {model}" if model in PARAMETERS else f"the lens model {model} is not supported"
+        raise UserError(files["cameras"], fault, "undistort with `colmap image_undistorter` first")
+    if model == "EQUIRECTANGULAR":
+        frame: dict[str, float] = {"w": width, "h": height}
     else:
-        raise UserError(path, f"the lens model {model} is not supported", "undistort with `colmap image_undistorter` first")
-    return Camera(width, height, float(f[0]), float(f[1]), float(c[0]), float(c[1]), matrix, tuple(k) if any(k) else ())
+        focal = 1 if model in ONE_FOCAL else 2
+        frame = dict(zip(("fl_x", "fl_y")[:focal], numbers)) | dict(zip(("cx", "cy"), numbers[focal:]))
+        frame |= dict(zip(coefficient_names(model), numbers[focal + 2 :])) | {"w": width, "h": height}
+    told = {"camera_model": model, "file_path": image, "transform_matrix": opengl_from_camera(matrix), **frame}
+    camera = camera_from_frame(told, {}, files["cameras"])
+    return replace(camera, world_to_camera=matrix)
+
+
+def parameters_of(camera: Camera) -> tuple[str, list[float]]:
+    """The camera's lens as COLMAP writes it: model and parameters."""
+    if camera.lens == "EQUIRECTANGULAR":
+        return camera.lens, [float(camera.width), float(camera.height)]
+    pinhole = [camera.fx, camera.fy, camera.cx, camera.cy]
+    return ("PINHOLE", pinhole) if camera.is_pinhole else (camera.lens, [*pinhole, *camera.distortion])
 
 
 def pose_matrix(q: Iterable[float], t: Iterable[float]) -> NDArray[np.float64]:
     """World-to-camera [4, 4] of COLMAP's quaternion (w, x, y, z) and translation."""
     quaternion = np.array(list(q), float)
-    w, x, y, z = quaternion / np.linalg.norm(quaternion)
+    with np.errstate(invalid="ignore", divide="ignore"):  # a zero one is no rotation: NaN, which no camera has
+        w, x, y, z = quaternion / np.linalg.norm(quaternion)
     out = np.eye(4)
     out[:3, :3] = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -140,16 +161,27 @@ def _cameras_txt(text: str) -> dict[int, tuple[str, int, int, list[float]]]:
 
 
 def _images_txt(text: str) -> list[tuple[str, int, NDArray[np.float64]]]:
-    # Two lines an image, the second (its 2D points) may be empty: blank lines count once the first image has begun.
-    lines = _lines(text)
-    while lines and not lines[0].strip():
-        lines.pop(0)
-    out = []
-    for line in lines[::2]:
-        if line.strip():
+    """Two lines an image, the second its 2D points (triples of numbers, or blank); some programs leave it out."""
+    out, points_next = [], False
+    for line in _lines(text):
+        if points_next and _holds_points(line):
+            points_next = False
+        elif line.strip():
             r = line.split(maxsplit=9)
             out.append((r[9].strip(), int(r[8]), pose_matrix(map(float, r[1:5]), map(float, r[5:8]))))
+            points_next = True
     return out
+
+
+def _holds_points(line: str) -> bool:
+    """Whether a line is an image's 2D points; an image's own line has ten entries, or more where its name has spaces."""
+    entries = line.split()
+    if len(entries) % 3:
+        return False
+    try:
+        return all(float(x) is not None for x in (*entries[:12], *entries[-3:]))
+    except ValueError:
+        return False
 
 
 def _points_txt(text: str) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
@@ -157,7 +189,14 @@ def _points_txt(text: str) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
     if not rows:
         return np.zeros((0, 3)), np.zeros((0, 3), np.uint8)
     table = np.array([[float(x) for x in r[1:7]] for r in rows])
-    return table[:, :3], table[:, 3:6].astype(np.uint8)
+    if table.shape[1:] != (6,):
+        raise ValueError("a point has no position and colour")
+    return _finite(table[:, :3], table[:, 3:6].astype(np.uint8))
+
+
+def _finite(points: NDArray[np.float64], colours: NDArray[np.uint8]) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
+    there = np.isfinite(points).all(1)
+    return points[there], colours[there]
 
 
 def _cameras_bin(data: bytes) -> dict[int, tuple[str, int, int, list[float]]]:
@@ -187,9 +226,11 @@ def _images_bin(data: bytes) -> list[tuple[str, int, NDArray[np.float64]]]:
 
 def _points_bin(data: bytes) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
     (n,), at = struct.unpack_from("<Q", data), 8
+    if n > (len(data) - at) // POINT_BYTES:
+        raise ValueError("the file ends early")
     points, colours = np.zeros((n, 3)), np.zeros((n, 3), np.uint8)
     for i in range(n):
         numbers = struct.unpack_from("<Q3d3BdQ", data, at)
         points[i], colours[i] = numbers[1:4], numbers[4:7]
-        at += 51 + 8 * numbers[8]
-    return points, colours
+        at += POINT_BYTES + 8 * numbers[8]
+    return _finite(points, colours)

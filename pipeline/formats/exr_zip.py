@@ -2,19 +2,24 @@
 
 Through OpenImageIO half the time goes into undoing the predictor byte by byte. Here libdeflate inflates a chunk, and its
 bytes go to interleaved floats in one pass (`exr_kernels`): 1.7 times as many noisy Stokes pixels a second. Any other EXR
-(tiles, parts, other compressions, subsampled or mixed channels, a damaged header) is OpenImageIO's: `open_zip_exr` says
+(tiles, parts, other compressions, subsampled or mixed channels, a data window that is not the display window, other
+primaries, a damaged header) is OpenImageIO's: `open_zip_exr` says
 None. Layout of the file: OpenEXR's "OpenEXR File Layout".
 """
 
 from __future__ import annotations
 
+import os
 import struct
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
+
+from pipeline.formats.exr_frame import to_rec709
 
 MAGIC = 20000630
 VERSION, LONG_NAMES = 2, 0x400
@@ -25,62 +30,95 @@ SAMPLE_BYTES = {1: 2, 2: 4}
 LARGEST_HEADER = 1 << 20
 
 
-@dataclass
-class ZipExr:
-    """An open file: `names` in file order, `size` (width, height); `sample_bytes` 2 (half) or 4 (float). Close `file`."""
+@dataclass(frozen=True)
+class ZipLayout:
+    """What files written alike share: `header`, their bytes up to the table of chunks, and what it says.
 
-    file: BinaryIO
+    names in file order, size (width, height), sample_bytes 2 (half) or 4 (float), chunk_rows scan lines a chunk, and `top`,
+    the first row's number.
+    """
+
+    header: bytes
     names: tuple[str, ...]
     size: tuple[int, int]
     sample_bytes: int
     chunk_rows: int
     top: int
-    offsets: NDArray[np.uint64]
+
+    @property
+    def line(self) -> int:
+        """Bytes of a row."""
+        return self.size[0] * len(self.names) * self.sample_bytes
+
+    def chunks(self, file: int, start: int, stop: int) -> Iterator[tuple[memoryview, bool]]:
+        """The chunks of rows start..stop (whole chunks) of an open file descriptor: inflated bytes, or as they are and True.
+
+        A writer keeps a chunk as it is where zip would make it larger. Raises ValueError, struct.error, OSError, OverflowError
+        or deflate.DeflateError on a damaged file (`damage`).
+        """
+        import deflate
+
+        rows = range(start, stop, self.chunk_rows)
+        table = os.pread(file, 8 * len(rows), len(self.header) + 8 * (start // self.chunk_rows))
+        offsets = struct.unpack(f"<{len(rows)}Q", table)
+        begin, last, most = min(offsets), max(offsets), self.line * self.chunk_rows
+        _, size = struct.unpack("<ii", os.pread(file, 8, last))
+        if not 0 < size <= most:
+            raise ValueError("not a chunk")
+        length = last + 8 + size - begin
+        near = memoryview(os.pread(file, length, begin)) if length <= 2 * len(rows) * most else None  # one after another
+        for row, offset in zip(rows, offsets):
+            at, stored = (0, memoryview(os.pread(file, 8 + most, offset))) if near is None else (offset - begin, near)
+            whole = min(self.chunk_rows, self.size[1] - row) * self.line
+            said, size = struct.unpack_from("<ii", stored, at)
+            packed = stored[at + 8 : at + 8 + size]
+            if said != self.top + row or not 0 < size <= whole or len(packed) != size:
+                raise ValueError("not a chunk")
+            data = packed if size == whole else memoryview(deflate.zlib_decompress(packed, whole))
+            if len(data) != whole:
+                raise ValueError("a chunk is short")
+            yield data, size == whole
+
+
+@dataclass
+class ZipExr:
+    """An open file and its layout. Close `file`."""
+
+    file: BinaryIO
+    layout: ZipLayout
 
     def read(self, start: int, stop: int, place: NDArray[np.int64], out: NDArray[np.float32]) -> bool:
         """Rows start..stop (whole chunks) to out [rows, W, C], file channel c at out[..., place[c]]; False if corrupt."""
-        import deflate
-
         from pipeline.formats.exr_kernels import place_floats, place_halves, undo_predictor
 
-        width, height = self.size
-        row = width * len(self.names)
-        stored = np.empty(self.chunk_rows * row * (self.sample_bytes // 2), np.uint16)
+        layout = self.layout
+        row = layout.size[0] * len(layout.names)
+        stored = np.empty(layout.chunk_rows * layout.line // 2, np.uint16)
         wide = np.empty(row, np.float32)
-        for first in range(start, stop, self.chunk_rows):
-            rows = min(self.chunk_rows, height - first)
-            packed = self._chunk(first, rows * row * self.sample_bytes)
-            if packed is None:
-                return False
-            words = stored[: rows * row * (self.sample_bytes // 2)]
-            if len(packed) == words.nbytes:  # the writer keeps what zip would make larger
-                words = np.frombuffer(packed, np.uint16)
-            else:
-                try:
-                    inflated = deflate.zlib_decompress(packed, words.nbytes)
-                except deflate.DeflateError:
-                    return False
-                if len(inflated) != words.nbytes:
-                    return False
-                undo_predictor(np.frombuffer(inflated, np.uint8), words)
-            part = out[first - start : first - start + rows]
-            if self.sample_bytes == 2:
-                place_halves(words.reshape(rows, row), wide, wide.view(np.uint32), place, part)
-            else:
-                place_floats(words.view(np.float32).reshape(rows, row), place, part)
+        first = 0
+        try:
+            for data, plain in layout.chunks(self.file.fileno(), start, stop):
+                words = np.frombuffer(data, np.uint16)
+                if not plain:
+                    words = stored[: len(data) // 2]
+                    undo_predictor(np.frombuffer(data, np.uint8), words)
+                rows = len(data) // layout.line
+                part = out[first : first + rows]
+                first += rows
+                if layout.sample_bytes == 2:
+                    place_halves(words.reshape(rows, row), wide, wide.view(np.uint32), place, part)
+                else:
+                    place_floats(words.view(np.float32).reshape(rows, row), place, part)
+        except damage():
+            return False
         return True
 
-    def _chunk(self, first: int, most: int) -> bytes | None:
-        """The stored bytes of the chunk that begins with row `first`, at most `most`; None where the file is damaged."""
-        self.file.seek(int(self.offsets[first // self.chunk_rows]))
-        head = self.file.read(8)
-        if len(head) < 8:
-            return None
-        row, size = struct.unpack("<ii", head)
-        if row != self.top + first or not 0 < size <= most:
-            return None
-        packed = self.file.read(size)
-        return packed if len(packed) == size else None
+
+def damage() -> tuple[type[Exception], ...]:
+    """What reading the chunks of a damaged file raises."""
+    import deflate
+
+    return ValueError, struct.error, OSError, OverflowError, deflate.DeflateError
 
 
 def open_zip_exr(path: Path) -> ZipExr | None:
@@ -106,13 +144,20 @@ def _opened(file: BinaryIO) -> ZipExr | None:
     kinds = {kind for _, kind in channels}
     if rows is None or kinds not in ({1}, {2}):
         return None
+    if attributes["displayWindow"] != attributes["dataWindow"]:
+        return None
+    primaries = attributes.get("chromaticities")
+    if primaries is not None and to_rec709(struct.unpack("<8f", primaries)) is not None:
+        return None
     width, height = right - left + 1, bottom - top + 1
     file.seek(8 + end)
     table = file.read(8 * -(-height // rows))
     offsets = np.frombuffer(table, "<u8")
     if len(offsets) != -(-height // rows) or not offsets.all():
         return None
-    return ZipExr(file, tuple(name for name, _ in channels), (width, height), SAMPLE_BYTES[kinds.pop()], rows, top, offsets)
+    file.seek(0)
+    names = tuple(name for name, _ in channels)
+    return ZipExr(file, ZipLayout(file.read(8 + end), names, (width, height), SAMPLE_BYTES[kinds.pop()], rows, top))
 
 
 def _attributes(header: bytes) -> tuple[dict[str, bytes], int]:

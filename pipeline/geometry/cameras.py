@@ -6,20 +6,28 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from pipeline.errors import UserError
+from pipeline.formats.json_file import read_json
+from pipeline.geometry.camera_check import check_camera
+from pipeline.geometry.lens_inverse import unproject
+from pipeline.geometry.lens_keys import lens_of, number
+from pipeline.geometry.lens_models import MODELS, PINHOLE, is_pinhole, project
 
 OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])  # flips y and z: OpenGL looks along -z with y up
+
+RAY_ROWS = 32  # of a frame that are solved together: a large frame's rays are large
 
 
 @dataclass(frozen=True)
 class Camera:
-    """One view's pinhole camera.
+    """One view's camera: a pinhole, or one with a lens that bends lines until the poses stage has straightened its frames.
 
     Lengths in world units, focal lengths and principal point in pixels. `name` is the physical camera (= polariser).
-    `distortion` is OpenCV's (k1, k2, p1, p2), or empty.
+    `lens` is a model of `lens_models` and `distortion` its coefficients (none: a pinhole).
     """
 
     width: int
@@ -31,6 +39,12 @@ class Camera:
     world_to_camera: np.ndarray = field(repr=False)
     distortion: tuple[float, ...] = ()
     name: str = "camera"
+    lens: str = PINHOLE
+
+    @property
+    def is_pinhole(self) -> bool:
+        """Whether it keeps straight lines straight."""
+        return is_pinhole(self.lens, self.distortion)
 
     @property
     def intrinsics(self) -> np.ndarray:
@@ -59,8 +73,10 @@ class Camera:
         """Unit viewing directions away from the camera, world, float64 [H, W, 3]."""
         u, v = np.meshgrid(np.arange(self.width) + 0.5, np.arange(self.height) + 0.5)
         local = np.stack([(u - self.cx) / self.fx, (v - self.cy) / self.fy, np.ones_like(u)], -1)
-        if any(self.distortion):
-            local[..., :2] = undistort(local[..., :2], self.distortion)
+        if not self.is_pinhole:
+            for start in range(0, self.height, RAY_ROWS):
+                rows = local[start : start + RAY_ROWS]
+                rows[:] = unproject(self.lens, self.distortion, rows[..., :2])
         local /= np.linalg.norm(local, axis=-1, keepdims=True)
         return local @ self.world_to_camera[:3, :3]
 
@@ -79,33 +95,18 @@ class Camera:
             pixels = np.stack([self.fx * local[..., 0] / z + self.cx, self.fy * local[..., 1] / z + self.cy], -1)
         return pixels, z
 
+    def pixels_of(self, rays: np.ndarray) -> np.ndarray:
+        """Pixel positions [..., 2] of rays [..., 3] of the camera's frame, through its lens; NaN where there are none."""
+        return project(self.lens, self.distortion, rays) * [self.fx, self.fy] + [self.cx, self.cy]
+
+    def rays_at(self, pixels: np.ndarray) -> np.ndarray:
+        """Unit rays [..., 3] of the camera's frame at pixel positions [..., 2], through its lens; NaN where there are none."""
+        return unproject(self.lens, self.distortion, (pixels - [self.cx, self.cy]) / [self.fx, self.fy])
+
     def resized(self, width: int, height: int) -> Camera:
         """The same camera for the image scaled to another size."""
         sx, sy = width / self.width, height / self.height
         return replace(self, width=width, height=height, fx=self.fx * sx, fy=self.fy * sy, cx=self.cx * sx, cy=self.cy * sy)
-
-
-def distort(ideal: np.ndarray, distortion: tuple[float, ...]) -> np.ndarray:
-    """Where a lens (OpenCV k1 k2 p1 p2) puts ideal normalised image points [..., 2]."""
-    radial, tangential = _lens_terms(ideal, distortion)
-    return ideal * radial[..., None] + tangential
-
-
-def _lens_terms(ideal: np.ndarray, distortion: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
-    k1, k2, p1, p2 = (*distortion, 0.0, 0.0, 0.0, 0.0)[:4]
-    x, y = ideal[..., 0], ideal[..., 1]
-    r2 = x * x + y * y
-    tangential = np.stack([2 * p1 * x * y + p2 * (r2 + 2 * x * x), p1 * (r2 + 2 * y * y) + 2 * p2 * x * y], -1)
-    return 1 + k1 * r2 + k2 * r2 * r2, tangential
-
-
-def undistort(points: np.ndarray, distortion: tuple[float, ...], rounds: int = 20) -> np.ndarray:
-    """Ideal normalised image points [..., 2] of distorted ones (OpenCV k1 k2 p1 p2), by fixed-point iteration."""
-    ideal = points.copy()
-    for _ in range(rounds):
-        radial, tangential = _lens_terms(ideal, distortion)
-        ideal = (points - tangential) / radial[..., None]
-    return ideal
 
 
 def camera_from_opengl(matrix: np.ndarray) -> np.ndarray:
@@ -120,61 +121,115 @@ def opengl_from_camera(world_to_camera: np.ndarray) -> np.ndarray:
     return np.linalg.inv(world_to_camera) @ OPENGL_FROM_OPENCV
 
 
-ROTATION_TOLERANCE = 0.01  # of R Rᵀ - 1: files that round to three digits pass, a scale of one percent does not
-_INTRINSICS = ("fl_x", "fl_y", "cx", "cy", "w", "h", "k1", "k2", "p1", "p2")
+_INTRINSICS = ("fl_x", "fl_y", "cx", "cy", "w", "h")
+_ANGLES = ("camera_angle_x", "camera_angle_y")
 
 
-def save_cameras(path: str | Path, cameras: Mapping[str, Camera]) -> None:
-    """Write cameras by VIEW in nerfstudio's `transforms.json` schema, intrinsics per frame."""
-    frames = []
-    for view, c in sorted(cameras.items()):
-        k1, k2, p1, p2 = (*c.distortion, 0.0, 0.0, 0.0, 0.0)[:4]
-        numbers = dict(zip(_INTRINSICS, (c.fx, c.fy, c.cx, c.cy, c.width, c.height, k1, k2, p1, p2)))
-        matrix = opengl_from_camera(c.world_to_camera).tolist()
-        frames.append({"file_path": view, "camera": c.name, **numbers, "transform_matrix": matrix})
-    Path(path).write_text(json.dumps({"camera_model": "OPENCV", "frames": frames}, indent=1) + "\n")
+def frame_of(camera: Camera) -> dict[str, Any]:
+    """A camera as the keys of a nerfstudio frame; `camera_from_frame` reads it back."""
+    model = {} if camera.lens == PINHOLE else {"camera_model": camera.lens}
+    names = MODELS[camera.lens].names
+    coefficients = dict(zip(names, (*camera.distortion, *(0.0,) * len(names))))
+    numbers = dict(zip(_INTRINSICS, (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)))
+    return {**numbers, **model, **coefficients, "transform_matrix": opengl_from_camera(camera.world_to_camera).tolist()}
 
 
-def camera_from_frame(frame: Mapping, shared: Mapping, path: Path) -> Camera:
+def save_cameras(
+    path: str | Path,
+    cameras: Mapping[str, Camera],
+    files: Mapping[str, str] | None = None,
+    offset: np.ndarray | None = None,
+) -> None:
+    """Write cameras by VIEW in nerfstudio's `transforms.json` schema, intrinsics per frame.
+
+    `files`: each VIEW's image, relative to `path`. `offset` [3] (none: zero) is what was taken from all positions:
+    true position = position in the file + offset.
+    """
+    frames = [
+        {"file_path": (files or {}).get(view, view), "view": view, "camera": camera.name, **frame_of(camera)}
+        for view, camera in sorted(cameras.items())
+    ]
+    told = {} if offset is None or not np.any(offset) else {"world_offset": [float(x) for x in offset]}
+    Path(path).write_text(json.dumps({"camera_model": PINHOLE, **told, "frames": frames}, indent=1) + "\n")
+
+
+def camera_from_frame(frame: Mapping[str, Any], shared: Mapping[str, Any], path: Path) -> Camera:
     """The camera of one `transforms.json` frame; intrinsics from the frame, else from the file. Raises UserError."""
-    get = {k: frame.get(k, shared.get(k)) for k in _INTRINSICS}
-    if get["fl_x"] is None and "camera_angle_x" in {**shared, **frame} and get["w"]:
-        get["fl_x"] = 0.5 * get["w"] / np.tan(0.5 * float({**shared, **frame}["camera_angle_x"]))
-    get["fl_y"] = get["fl_x"] if get["fl_y"] is None else get["fl_y"]
-    for centre, size in (("cx", "w"), ("cy", "h")):
-        get[centre] = get[size] / 2 if get[centre] is None and get[size] is not None else get[centre]
-    missing = [k for k in _INTRINSICS[:6] if get[k] is None]
+    what = f"frame {frame.get('file_path', '?')}"
+    told = {**shared, **frame}
+    lens, distortion = lens_of(frame, shared, path, what)
+    get = {k: number(told[k], k, path, what) for k in (*_INTRINSICS, *_ANGLES) if told.get(k) is not None}
+    _complete(get, lens)
+    missing = [k for k in _INTRINSICS if k not in get]
     if missing or "transform_matrix" not in frame:
         wanted = ", ".join([*missing, *([] if "transform_matrix" in frame else ["transform_matrix"])])
-        raise UserError(path, f"frame {frame.get('file_path', '?')} has no {wanted}", "add it to the file")
-    matrix = np.asarray(frame["transform_matrix"], float)
-    if matrix.shape not in ((4, 4), (3, 4)) or not np.isfinite(matrix).all():
-        raise UserError(path, f"frame {frame.get('file_path', '?')}: transform_matrix is not a finite 4x4", "mend it")
-    turn = matrix[:3, :3]
-    if np.abs(turn @ turn.T - np.eye(3)).max() > ROTATION_TOLERANCE or np.linalg.det(turn) < 0:
-        fault = f"frame {frame.get('file_path', '?')}: the 3x3 part of transform_matrix is not a rotation"
-        raise UserError(path, fault, "take scale and mirroring out of it")
-    if not (float(get["fl_x"]) > 0 and float(get["fl_y"]) > 0 and int(get["w"]) > 0 and int(get["h"]) > 0):
-        raise UserError(path, f"frame {frame.get('file_path', '?')}: fl_x, fl_y, w and h must be above 0", "mend them")
-    distortion = tuple(float(get[k] or 0.0) for k in ("k1", "k2", "p1", "p2"))
-    return Camera(
+        raise UserError(path, f"{what} has no {wanted}", "add it to the file")
+    size = {"w": get["w"], "h": get["h"]}
+    for key, value in size.items():
+        if value != int(value):
+            raise UserError(path, f"{what}: {key} = {value:g} is not a whole number of pixels", "give the image's size")
+    matrix = _matrix(frame["transform_matrix"], path, what)
+    try:
+        pose = camera_from_opengl(matrix)
+    except np.linalg.LinAlgError:
+        pose = np.zeros((4, 4))  # told below
+    camera = Camera(
         width=int(get["w"]),
         height=int(get["h"]),
-        fx=float(get["fl_x"]),
-        fy=float(get["fl_y"]),
-        cx=float(get["cx"]),
-        cy=float(get["cy"]),
-        world_to_camera=camera_from_opengl(matrix),
-        distortion=distortion if any(distortion) else (),
+        fx=get["fl_x"],
+        fy=get["fl_y"],
+        cx=get["cx"],
+        cy=get["cy"],
+        world_to_camera=pose,
+        distortion=distortion,
         name=str(frame.get("camera", "camera")),
+        lens=lens,
     )
+    return check_camera(camera, path, what)
+
+
+def _complete(get: dict[str, float], lens: str) -> None:
+    """Fill in what others of the intrinsics tell, in place."""
+    if lens == "EQUIRECTANGULAR" and {"w", "h"} <= set(get):  # the whole sphere: its size says everything
+        get |= {"fl_x": get["w"] / (2 * np.pi), "fl_y": get["h"] / np.pi, "cx": get["w"] / 2, "cy": get["h"] / 2}
+    for focal, angle, size in (("fl_x", "camera_angle_x", "w"), ("fl_y", "camera_angle_y", "h")):
+        if focal not in get and angle in get and size in get and 0 < get[angle] < np.pi:
+            get[focal] = 0.5 * get[size] / np.tan(0.5 * get[angle])
+    for focal, other in (("fl_x", "fl_y"), ("fl_y", "fl_x")):
+        if focal not in get and other in get:
+            get[focal] = get[other]
+    for centre, size in (("cx", "w"), ("cy", "h")):
+        if centre not in get and size in get:
+            get[centre] = get[size] / 2
+
+
+def _matrix(value: Any, path: Path, what: str) -> np.ndarray:
+    """A finite [4, 4] or [3, 4]. Raises UserError."""
+    try:
+        matrix = np.asarray(value, float)
+    except (TypeError, ValueError, OverflowError):
+        matrix = np.zeros(0)
+    if matrix.shape not in ((4, 4), (3, 4)) or not np.isfinite(matrix).all():
+        raise UserError(path, f"{what}: transform_matrix is not a finite 4x4", "mend it")
+    return matrix
 
 
 def load_cameras(path: str | Path) -> dict[str, Camera]:
     """Cameras by VIEW from a file that `save_cameras` wrote. Raises UserError."""
     path = Path(path)
-    try:
-        table = json.loads(path.read_text())
-    except (OSError, ValueError) as error:
-        raise UserError(path, f"cannot be read ({error})", "run the poses stage again") from error
-    return {frame["file_path"]: camera_from_frame(frame, table, path) for frame in table["frames"]}
+    table = _written(path)
+    return {frame["view"]: camera_from_frame(frame, table, path) for frame in table["frames"]}
+
+
+def world_offset(path: str | Path) -> np.ndarray:
+    """What `save_cameras` took from all positions, float64 [3]. Raises UserError."""
+    return np.array(_written(Path(path)).get("world_offset", (0.0, 0.0, 0.0)), float)
+
+
+def _written(path: Path) -> dict[str, Any]:
+    remedy = "run the poses stage again"
+    table = read_json(path, remedy)
+    frames = table.get("frames") if isinstance(table, dict) else None
+    if not isinstance(frames, list) or not all(isinstance(f, dict) and isinstance(f.get("view"), str) for f in frames):
+        raise UserError(path, "holds no frames with their views", remedy)
+    return table

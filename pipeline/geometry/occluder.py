@@ -8,6 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.geometry.normals import UPWARD, vertex_normals
+from pipeline.geometry.rays import RayMesh
+
 Float = NDArray[np.float32]
 
 # Rays start this share of the mesh's diagonal off the surface: above float32's rounding of hits (1e-6) and the ripple
@@ -31,41 +34,31 @@ class Occluder:
     """A triangle mesh to cast rays at (Embree). Vertices [V, 3], triangles [F, 3]; normals [V, 3] point outwards."""
 
     def __init__(self, vertices: NDArray, triangles: NDArray, normals: NDArray | None = None) -> None:
-        import open3d
-
-        o3d: Any = open3d
         self.vertices = np.ascontiguousarray(vertices, np.float32)
         self.triangles = np.ascontiguousarray(triangles, np.uint32)
-        self.normals = vertex_normals(self.vertices, self.triangles) if normals is None else np.asarray(normals)
+        if normals is None:
+            normals = vertex_normals(self.vertices, self.triangles, UPWARD).astype(np.float32)
+        self.normals = np.asarray(normals)
         self.lift = LIFT * float(np.linalg.norm(np.ptp(self.vertices, axis=0)))
-        self._core = o3d.core
-        self._scene = o3d.t.geometry.RaycastingScene()
-        self._scene.add_triangles(o3d.core.Tensor(self.vertices), o3d.core.Tensor(self.triangles))
+        self._rays = RayMesh(self.vertices, self.triangles)
 
     def cast(self, origins: NDArray, directions: NDArray) -> Hits:
         """First hits of rays from origins [R, 3] along directions [R, 3]."""
-        found = self._scene.cast_rays(self._rays(origins, directions))
-        triangle = found["primitive_ids"].numpy()
-        outside = (found["primitive_normals"].numpy() * directions).sum(-1) < 0
-        blocked = np.isfinite(found["t_hit"].numpy()) & outside
-        u, v = np.moveaxis(found["primitive_uvs"].numpy(), -1, 0)
-        corners = self.triangles[np.where(blocked, triangle, 0)].astype(np.int64)
-        return Hits(blocked, corners, np.stack((1 - u - v, u, v), -1).astype(np.float32))
+        found = self._rays.cast(origins, directions)
+        blocked = found.hit & ((found.normal * directions).sum(-1) < 0)
+        return Hits(blocked, self._corners(np.where(blocked, found.triangle, 0)), found.weights)
 
     def blocked(self, origins: NDArray, directions: NDArray) -> NDArray[np.bool_]:
         """Whether rays meet anything [R]: cheaper than `cast`."""
-        return self._scene.test_occlusions(self._rays(origins, directions)).numpy()
+        return self._rays.blocked(origins, directions)
 
     def nearest(self, points: NDArray) -> Hits:
         """The closest surface to points [P, 3], as hits."""
-        found = self._scene.compute_closest_points(self._core.Tensor(np.ascontiguousarray(points, np.float32)))
-        u, v = np.moveaxis(found["primitive_uvs"].numpy(), -1, 0)
-        corners = self.triangles[found["primitive_ids"].numpy()].astype(np.int64)
-        return Hits(np.ones(len(points), bool), corners, np.stack((1 - u - v, u, v), -1).astype(np.float32))
+        found = self._rays.closest(points)
+        return Hits(np.ones(len(points), bool), self._corners(found.triangle), found.weights)
 
-    def _rays(self, origins: NDArray, directions: NDArray) -> Any:
-        rays = np.concatenate(np.broadcast_arrays(origins, directions), axis=-1)
-        return self._core.Tensor(np.ascontiguousarray(rays, np.float32))
+    def _corners(self, triangle: NDArray[np.int64]) -> NDArray[np.int64]:
+        return self.triangles[triangle].astype(np.int64)
 
 
 def simplified(vertices: NDArray, triangles: NDArray, faces: int = 20_000) -> tuple[NDArray, NDArray]:
@@ -81,18 +74,6 @@ def simplified(vertices: NDArray, triangles: NDArray, faces: int = 20_000) -> tu
     )
     mesh = mesh.simplify_quadric_decimation(faces)
     return np.asarray(mesh.vertices), np.asarray(mesh.triangles)
-
-
-def vertex_normals(vertices: NDArray, triangles: NDArray) -> Float:
-    """Unit normals [V, 3]: area-weighted means of the faces'; +z at vertices of no face."""
-    corners = vertices[triangles.astype(np.int64)].astype(np.float64)
-    area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    total = np.zeros(vertices.shape)
-    for k in range(3):
-        np.add.at(total, triangles[:, k].astype(np.int64), area)
-    length = np.linalg.norm(total, axis=1, keepdims=True)
-    up = np.array([0.0, 0.0, 1.0])
-    return np.where(length > 0, total / np.where(length > 0, length, 1), up).astype(np.float32)
 
 
 def tangent_frames(normals: NDArray) -> NDArray[np.float64]:

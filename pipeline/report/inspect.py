@@ -11,14 +11,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.capture import Capture
+from pipeline.capture.view_rules import held_back
 from pipeline.engine.changes import WORDS, State, outlook, standing
 from pipeline.engine.plan import Step, plan_as_json
 from pipeline.errors import UserError
-from pipeline.formats.images import read_image, write_fault
+from pipeline.formats.images import RGB, read_image, write_fault
+from pipeline.geometry.axes import nearest_to_lines
 from pipeline.geometry.cameras import Camera
+from pipeline.geometry.world import Y_UP_FROM
 
 from . import pictures
-from .pictures import AOLP_FULL, DOLP_FULL, exposure_of, picture, polarisation
+from .pictures import AOLP_FULL, DOLP_FULL, evenly_chosen, exposure_of, picture, polarisation
 from .render import render
 
 SHOWN = 6  # views whose pixels are looked at
@@ -95,11 +98,6 @@ def _polarisers(capture: Capture) -> list[dict[str, str]]:
     return rows
 
 
-def _chosen(names: Sequence[str]) -> list[str]:
-    """A few of the views, evenly spread."""
-    return [names[i] for i in sorted({round(k) for k in np.linspace(0, len(names) - 1, min(len(names), SHOWN))})]
-
-
 def _views(capture: Capture) -> tuple[list[dict[str, Any]], list[tuple[str, str]]]:
     """Cards of a few views, and what was found wrong while reading them."""
     cards: list[dict[str, Any]] = []
@@ -111,7 +109,7 @@ def _views(capture: Capture) -> tuple[list[dict[str, Any]], list[tuple[str, str]
             except UserError as error:
                 faults.append((name, str(error)))
         return cards, faults
-    for name in _chosen([v.view for v in capture.views]):
+    for name in evenly_chosen([v.view for v in capture.views], SHOWN):
         try:
             cards.append({"view": name, "pictures": _view_pictures(capture, name)})
         except UserError as error:
@@ -124,10 +122,9 @@ def _views(capture: Capture) -> tuple[list[dict[str, Any]], list[tuple[str, str]
 
 def _stage_pictures(camera: Any) -> list[dict[str, str]]:
     """A few frames, cross and parallel, and the mask."""
-    rgb = ("R", "G", "B")
-    picks = _chosen([str(i) for i in range(len(camera.cross))])[1:5]
+    picks = evenly_chosen([str(i) for i in range(len(camera.cross))], SHOWN)[1:5]
     frames = [
-        (kind, i, read_image(paths[int(i)], rgb))
+        (kind, i, read_image(paths[int(i)], RGB))
         for i in picks
         for kind, paths in (("cross", camera.cross), ("parallel", camera.parallel))
     ]
@@ -179,15 +176,13 @@ def _view_pictures(capture: Capture, name: str) -> list[dict[str, str]]:
 
 def _environment(path: Path) -> dict[str, str]:
     try:
-        return picture(pictures.radiance(read_image(path, ("R", "G", "B"))), path.stem, "", 560)
+        return picture(pictures.radiance(read_image(path, RGB)), path.stem, "", 560)
     except UserError as error:
         return {"src": "", "title": path.stem, "text": str(error), "place": ""}
 
 
 def scene_of(capture: Capture) -> dict[str, Any]:
     """Cameras (frustum corners) and lights in a y-up frame scaled to radius 1, for the 3D drawing."""
-    from pipeline.rig.latlong_lights import Y_UP_FROM
-
     turn = Y_UP_FROM[capture.up]
     cameras: dict[str, Camera] = dict(capture.cameras or {})
     lights = np.zeros((0, 3))
@@ -198,18 +193,18 @@ def scene_of(capture: Capture) -> dict[str, Any]:
         return {"cameras": [], "lights": []}
     centres = np.stack([c.centre for c in cameras.values()])
     axes = np.stack([c.world_to_camera[2, :3] for c in cameras.values()])
-    middle = np.zeros(3) if len(lights) else nearest_to_axes(centres, axes)
+    middle = np.zeros(3) if len(lights) else nearest_to_lines(centres, axes)
+    middle = centres.mean(0) if middle is None else middle
     everything = np.concatenate([centres, lights]) - middle
     radius = float(np.linalg.norm(everything, axis=1).max()) or 1.0
-    names = sorted(cameras)
-    out = []
-    for k, name in enumerate(names):
+    tested, out = held_back(cameras, capture.parts), []
+    for name in sorted(cameras):
         c = cameras[name]
         corners = np.array([(0, 0), (c.width, 0), (c.width, c.height), (0, c.height)], float)
         local = np.concatenate([(corners - (c.cx, c.cy)) / (c.fx, c.fy), np.ones((4, 1))], 1)
         local *= 0.16 / np.linalg.norm(local[0])
         points = (c.centre - middle) / radius + local @ c.world_to_camera[:3, :3]
-        test = capture.light_stage is None and k % 8 == 0
+        test = capture.light_stage is None and tested.get(name) == "test"
         out.append(
             {
                 "name": name,
@@ -219,15 +214,6 @@ def scene_of(capture: Capture) -> dict[str, Any]:
             }
         )
     return {"cameras": out, "lights": _round((lights - middle) / radius @ turn.T)}
-
-
-def nearest_to_axes(centres: NDArray, axes: NDArray) -> NDArray[np.float64]:
-    """The point nearest to all viewing axes (least squares); the centres' mean where the axes are parallel."""
-    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
-    total = across.sum(0)
-    if np.linalg.cond(total) > 1e6:
-        return centres.mean(0)
-    return np.linalg.solve(total, np.einsum("nij,nj->i", across, centres))
 
 
 def _round(values: NDArray) -> Any:

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import base64
 import io
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.formats.images import srgb_encode
+from pipeline.optics.stokes import angle, degree
 
 DOLP_FULL = 0.6  # DoLP at the bright end of its colour scale
+DARK = 1e-3  # s0 below which no polarisation is shown
 AOLP_FULL = 0.15  # DoLP from which an angle is shown at full brightness
 # Anchor colours (sRGB) of two perceptually even scales, dark to light.
 INFERNO = (
@@ -104,9 +107,13 @@ def picture(pixels: NDArray[np.uint8], title: str, text: str, longest: int, plac
 
 def polarisation(stokes: NDArray) -> tuple[NDArray, NDArray]:
     """DoLP and AoLP (radians) of the colour mean; 0 where it is dark."""
-    s0, s1, s2 = np.moveaxis(stokes.mean(-1), -1, 0)
-    lit = s0 > 1e-3
-    return np.where(lit, np.hypot(s1, s2) / np.maximum(s0, 1e-3), 0), 0.5 * np.arctan2(s2, s1)
+    mean = stokes.mean(-1)
+    return np.where(mean[..., 0] > DARK, degree(mean), 0), angle(mean)
+
+
+def evenly_chosen(names: Sequence[str], most: int) -> list[str]:
+    """At most `most` of the names, evenly spread, the first and last among them."""
+    return [names[i] for i in sorted({round(k) for k in np.linspace(0, len(names) - 1, min(len(names), most))})]
 
 
 def exposure_of(image: NDArray) -> float:

@@ -9,17 +9,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.geometry.world import Y_UP_FROM
 from pipeline.rig.solid_angles import fibonacci_sphere, nearest_light
 
-Y_UP_FROM = {
-    "y": np.eye(3),
-    "-y": np.diag([1.0, -1.0, -1.0]),
-    "z": np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]),
-    "-z": np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]),
-    "x": np.array([[0, -1.0, 0], [1, 0, 0], [0, 0, 1]]),
-    "-x": np.array([[0, 1.0, 0], [-1, 0, 0], [0, 0, 1]]),
-}
-"""Rotation from a capture's world, by its up axis, to the frame of the maps, whose up is y."""
 BLOCK = 1 << 16  # texels whose nearest light is looked up at a time
 
 

@@ -2,5 +2,5 @@
 
 from __future__ import annotations
 
-WARD, BECKMANN, PRINTED, PRINTED_COSINE = 0, 1, 2, 3
-LOBES = {"ward": WARD, "beckmann": BECKMANN, "printed": PRINTED, "printed-cosine": PRINTED_COSINE}
+WARD, BECKMANN, PRINTED, PRINTED_COSINE, GGX = range(5)
+LOBES = {"ward": WARD, "beckmann": BECKMANN, "printed": PRINTED, "printed-cosine": PRINTED_COSINE, "ggx": GGX}

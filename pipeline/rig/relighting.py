@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.formats.images import read_image
+from pipeline.formats.images import RGB, XYZ, read_image
 from pipeline.geometry.cameras import Camera
+from pipeline.rig.frame_files import frames_root
 from pipeline.rig.latlong_lights import as_lights, irradiance_per_light
 
-RGB = ("R", "G", "B")
 READERS = 2
 MAP_LIGHTS = 2000  # cells of 4.5 degrees; a lobe narrower than its cell is widened by it
 
@@ -34,11 +34,13 @@ def relight_olat(
     irradiance: float = np.pi,
     specular_factor: float = 2.0,
     up: str = "y",
+    decode_folder: Path | None = None,
 ) -> NDArray[np.float32]:
     """The object under a map, as the sum of its frames weighted by the light in each light's cell: float32 [H, W, 3].
 
     olat_index: decode's `olat.json` (its path or content); camera: "camNN"; env_latlong [h, w, 3] linear; mask [H, W]: black
-    outside; irradiance, specular_factor: `capture.config.olat`; up: `capture.up`. Frames are read one after another.
+    outside; irradiance, specular_factor: `capture.config.olat`; up: `capture.up`; decode_folder: where olat.json lies, needed
+    with its content alone. Frames are read one after another.
     Raises UserError naming a frame that cannot be read.
     """
     index = json.loads(Path(olat_index).read_text()) if isinstance(olat_index, str | Path) else olat_index
@@ -46,7 +48,8 @@ def relight_olat(
     lights = index["lights"]
     weights = irradiance_per_light(env_latlong, np.array(lights["directions"]), up)
     weights /= irradiance * np.array(lights["intensity"])[:, None]
-    root = Path(capture_root)
+    decode = Path(olat_index).parent if isinstance(olat_index, str | Path) else Path(decode_folder or capture_root)
+    root = frames_root(index, Path(capture_root), decode)
     out = np.zeros((int(entry["height"]), int(entry["width"]), 3))
 
     def both(pair: tuple[str, str]) -> tuple[NDArray, NDArray]:
@@ -110,8 +113,7 @@ def render_maps(
     def load(name: str, channels: tuple[str, ...]) -> NDArray[np.float32]:
         return read_image(folder / f"{name}.exr", channels)
 
-    xyz = ("X", "Y", "Z")
-    normal_d, normal_s, tangent = (load(name, xyz) for name in ("diffuse_normal", "specular_normal", "tangent"))
+    normal_d, normal_s, tangent = (load(name, XYZ) for name in ("diffuse_normal", "specular_normal", "tangent"))
     albedo_d, albedo_s = load("diffuse_albedo", RGB), load("specular_albedo", ("Y",))[..., 0]
     sigma = load("sigma", ("X", "Y"))
     inside = np.linalg.norm(normal_d, axis=-1) > 0.5

@@ -117,6 +117,13 @@ def lookup(table: torch.Tensor, directions: torch.Tensor, resolution: int) -> to
     return top * (1 - t) + bottom * t
 
 
+def texel_index(directions: torch.Tensor, resolution: int) -> torch.Tensor:
+    """Texels [P] that directions [P, 3] (any length) fall in."""
+    face, u, v = _torch_face_coordinates(directions)
+    i, j = (((t + 1) * (resolution / 2)).long().clamp(0, resolution - 1) for t in (u, v))
+    return (face * resolution + j) * resolution + i
+
+
 def _torch_face_coordinates(d: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     axes = torch.as_tensor(AXES, dtype=d.dtype, device=d.device)
     magnitude = d.detach().abs()

@@ -6,7 +6,7 @@ with its weights by name. Diffuse light is blended in the small prefiltered leve
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -120,10 +120,10 @@ class GridMap:
         if blocked.any():
             mean = torch.stack(
                 [
-                    LightField(p, field.roughnesses, field.specular, field.cosine, field.transmitted, field.lobe)
-                    .mirrored(mirror[blocked], roughness[blocked]) for p in local.packed
+                    replace(field, packed=p).mirrored(mirror[blocked], roughness[blocked])
+                    for p in local.packed
                 ]
-            )  # fmt: skip
+            )
             seen[blocked] = torch.einsum("pa,apc->pc", weight[blocked], mean)
         return Occlusion(torch.zeros_like(diffuse), diffuse, (~blocked).to(diffuse.dtype), seen)
 

@@ -20,12 +20,12 @@ from numpy.typing import NDArray
 
 from pipeline.kernels.compiling import kernel
 from pipeline.optics import fresnel, microfacet
+from pipeline.optics.model_names import MIRRORS
 from pipeline.optics.stokes import surface_pattern
 
 from . import limits
 from .prefilter import LightField
 from .shade_kernels import MATH, add, chunks, direction_gradient, fetch, level_below, texels
-from .types import MIRRORS
 
 # Share of the width left to the looked-up level, by number of rings: about the facets' spacing.
 REST = (0.5, 0.4, 0.3, 0.2)

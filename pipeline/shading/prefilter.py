@@ -7,7 +7,7 @@ normal and view coincide (PhyGaP Eq. 16's second factor, normalised): weights D(
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 import torch
@@ -20,6 +20,7 @@ from pipeline.optics.sphere import cube_solid_angles
 from . import prefilter_kernels as kernels
 from . import splitsum
 from .cube import AXES, cube_directions, extended_size, lookup, padded_indices
+from .light_tree import LightTree, light_tree
 from .symmetry import SymmetricMap, representatives
 
 LOBES = {"ggx": kernels.GGX, "beckmann": kernels.BECKMANN}
@@ -52,6 +53,13 @@ class LightField:
     cosine: Level
     transmitted: Level
     lobe: str
+    resolution: int  # of the environment's cube
+    pyramid: torch.Tensor  # [S, 3] the unfiltered cube and its coarser means
+
+    @cached_property
+    def tree(self) -> LightTree:
+        """The environment as `light_tree` sums it."""
+        return light_tree(self.pyramid, self.resolution, COARSEST)
 
     def mirrored(self, directions: torch.Tensor, roughness: torch.Tensor) -> torch.Tensor:
         """E(r, direction) [P, 3] for directions [P, 3] and perceptual roughness [P]."""
@@ -110,8 +118,9 @@ class Prefilter:
     def apply(self, radiance: torch.Tensor) -> LightField:
         """Prefilter radiance [6, R, R, 3]; differentiable."""
         *specular, cosine, transmitted = self.levels
-        packed = self.operator(pyramid(radiance))
-        return LightField(packed, ROUGHNESSES, tuple(specular), cosine, transmitted, self.lobe)
+        means = pyramid(radiance)
+        packed = self.operator(means)
+        return LightField(packed, ROUGHNESSES, tuple(specular), cosine, transmitted, self.lobe, self.resolution, means)
 
 
 def level_resolution(roughness: float, limit: int) -> int:

@@ -7,12 +7,13 @@ from typing import Any
 import torch
 
 from pipeline.optics import fresnel as optics
+from pipeline.optics.model_names import FRESNELS, MIRRORS, TREES
 from pipeline.optics.stokes import surface_pattern
 
 from . import limits, splitsum
 from . import prefilter_kernels as kernels
 from .prefilter import LightField
-from .types import FRESNELS, MIRRORS, Occlusion, Shaded, clamp_keeping_gradient
+from .types import Occlusion, Shaded, clamp_keeping_gradient
 
 
 def shade(
@@ -33,8 +34,8 @@ def shade(
 
     fresnel: "exact" transmits light into and out of the body (Baek et al.'s polarised plastic) and integrates
     Fresnel's equations over the lobe; "schlick" is PhyGaP Eq. 20, (1 - F_schlick) albedo/pi E, with F0 tau0 + tau1.
-    mirror: "split" sum, or "lobe-4" to "lobe-48" facets (exact Fresnel only): see `lobe`; dearer and better,
-    above all at grazing view and under lamps.
+    mirror: "split" sum; "tree", "tree-coarse", "tree-fine", a quadrature over the environment's texels (see `light_tree`);
+    or "lobe-4" to "lobe-48" facets (see `lobe`). All but the split sum with exact Fresnel only.
     Values outside `limits` are clamped, their gradient kept. float32 on the CPU runs a fused kernel ("exact" only).
     """
     if fresnel not in FRESNELS:
@@ -49,7 +50,13 @@ def shade(
         occlusion.shadow, occlusion.bounced, occlusion.unblocked, occlusion.seen
     )  # fmt: skip
     given: tuple[torch.Tensor | None, ...] = (None, None)
-    if mirror != "split":
+    if mirror in TREES:
+        from . import light_tree
+
+        given = light_tree.mirrored(
+            normal, view, roughness, ior, frame_x, frame_y, light.tree, light.lobe, TREES[mirror]
+        )  # fmt: skip
+    elif mirror != "split":
         from .lobe import mirrored
 
         given = mirrored(normal, view, roughness, ior, frame_x, frame_y, light, mirror)
@@ -83,6 +90,12 @@ def plain(
     if mirror == "split":
         mirrored = light.mirrored(2 * facing[:, None] * normal - view, roughness)
         turned = across[:, None, None] * around * mirrored[:, None]
+    elif mirror in TREES:
+        from . import light_tree
+
+        mirrored, turned = light_tree.plain(
+            normal, view, roughness, eta, frame_x, frame_y, light.tree, light.lobe, TREES[mirror]
+        )  # fmt: skip
     else:
         from .lobe import plain as lobe
 

@@ -1,16 +1,10 @@
-"""What shading takes and gives, and the names of its variants."""
+"""What shading takes and gives."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import torch
-
-FRESNELS = ("exact", "schlick")
-# Rings x azimuths of facets by name; None is the split sum. See `lobe`.
-MIRRORS: dict[str, tuple[int, int] | None] = {
-    "split": None, "lobe-4": (1, 4), "lobe-12": (2, 6), "lobe-24": (3, 8), "lobe-48": (4, 12)
-}  # fmt: skip
 
 
 @dataclass(frozen=True)

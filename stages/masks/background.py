@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.geometry.axes import nearest_to_lines
 from pipeline.geometry.cameras import Camera
 from stages.masks.colour_model import MAX_LOG_ODDS, ColourSpace, colour_log_odds
 from stages.masks.volume import NOTHING, Grid, Projections, ray_maxima, stack_padded, voxel_scores
@@ -39,10 +40,9 @@ class Fixation:
 def fixation(cameras: list[Camera]) -> Fixation | None:
     """The point nearest to all optical axes and the radius that three quarters of the images hold; None if there is none."""
     axes = np.stack([c.world_to_camera[2, :3] for c in cameras])
-    blocks = np.eye(3) - axes[:, :, None] * axes[:, None, :]
-    if np.linalg.cond(blocks.sum(0)) > 1e6:  # parallel axes meet nowhere
+    centre = nearest_to_lines(np.stack([c.centre for c in cameras]), axes)
+    if centre is None:
         return None
-    centre = np.linalg.solve(blocks.sum(0), sum(b @ c.centre for b, c in zip(blocks, cameras)))
     radii = []
     for c in cameras:
         (u, v), depth = c.project(centre)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from pipeline.capture.pixels.linear import read_linear
 from pipeline.engine.stage import StageRun
 from pipeline.errors import UserError
-from pipeline.geometry.lens import Straightener, lenses
+from pipeline.geometry.lens import lenses
 from stages.masks.background import tidy
 from stages.masks.inputs import frame_s0
 
@@ -34,12 +34,12 @@ def by_clean_plate(stage: StageRun, views: list[str]) -> dict[str, NDArray[np.bo
         image = frame_s0(stage, view)
         if path not in plates:
             plates[path] = read_linear(path, capture.config.radiometry).rgb(path)
-        if plates[path].shape != image.shape:
-            have, want = plates[path].shape, image.shape
+        have, want = plates[path].shape, (*bent[view].taken, 3) if view in bent else image.shape
+        if have != want:
             raise UserError(
                 path, f"is {have[1]}x{have[0]}, the view {view} {want[1]}x{want[0]}", "photograph it with the same camera"
             )
-        plate = Straightener(bent[view]).image(plates[path]) if view in bent else plates[path]
+        plate = bent[view].image(plates[path]) if view in bent else plates[path]
         out[view] = difference_mask(image, plate)
     return out
 

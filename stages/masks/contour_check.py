@@ -42,9 +42,11 @@ def contour_evidence(stokes: list[NDArray[np.float32]], masks: list[NDArray[np.b
         ring = (distance > RING[0]) & (distance < RING[1])
         normal = np.arctan2(down[ring], -right[ring])  # outward, y up: the distance grows inwards and rows go down
         s1, s2 = image[..., 1][ring], image[..., 2][ring]
-        polarised = np.hypot(s1, s2)
+        polarised = np.hypot(s1.astype(float), s2)  # bad pixels of 1e30 and more are in some files
         twice = np.exp(1j * np.arctan2(s2, s1))  # exp(2i AoLP)
-        relative = np.minimum(polarised / np.maximum(image[..., 0][ring], 1e-9), 1)
+        light = image[..., 0][ring]
+        relative = np.divide(polarised, light, out=np.ones_like(polarised), where=light > polarised)  # no more than 1
+        relative[~(np.isfinite(polarised) & np.isfinite(light) & (light > 0))] = 0
         for k, turn in enumerate((twice, np.conj(twice))):
             sums[k] += complex((relative * turn**2 * np.exp(-4j * normal)).sum())
         weight += float(relative.sum())

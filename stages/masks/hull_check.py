@@ -12,10 +12,11 @@ import numpy as np
 from numba import prange
 from numpy.typing import NDArray
 
+from pipeline.formats.backdrop import grown
 from pipeline.geometry.cameras import Camera
 from pipeline.kernels.compiling import kernel
 from stages.masks.background import BALL_MARGIN, Fixation, fixation
-from stages.masks.volume import Grid, Projections, stack_padded
+from stages.masks.volume import Grid, Projections, pixel_of, stack_padded
 
 GRID = 96
 FLAG = 0.05
@@ -45,7 +46,8 @@ def check_masks_agree(masks: list[NDArray[np.bool_]], cameras: list[Camera]) -> 
     solid = stack_padded(masks, bool)
     against = np.zeros((grid.count,) * 3, np.int32)
     culprit = np.full((grid.count,) * 3, -1, np.int32)
-    _count(_grown(solid), projections.forward, projections.sizes, grid.low, grid.step, against, culprit)
+    outline = np.stack([grown(mask) for mask in solid])  # a voxel on the border must not be carved by rounding
+    _count(outline, projections.forward, projections.sizes, grid.low, grid.step, against, culprit)
     excess = np.zeros(len(masks))
     blame = np.zeros((len(masks), len(masks)))
     _explain(
@@ -67,13 +69,6 @@ def _grid(masks: list[NDArray[np.bool_]], cameras: list[Camera], ball: Fixation)
     return Grid(ball.centre - half, 2 * half / GRID, GRID)
 
 
-def _grown(solid: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Masks grown by a pixel: a voxel on the border must not be carved by rounding."""
-    from scipy.ndimage import binary_dilation
-
-    return binary_dilation(solid, np.ones((1, 3, 3), bool))
-
-
 @kernel(parallel=True)
 def _count(solid, forward, sizes, low, step, against, culprit):
     n = against.shape[0]
@@ -84,14 +79,10 @@ def _count(solid, forward, sizes, low, step, against, culprit):
             for column in range(n):
                 x = low[0] + (column + 0.5) * step
                 for v in range(forward.shape[0]):
-                    p = forward[v]
-                    depth = p[2, 0] * x + p[2, 1] * y + p[2, 2] * z + p[2, 3]
-                    if depth > 0:
-                        u = int(np.floor((p[0, 0] * x + p[0, 1] * y + p[0, 2] * z + p[0, 3]) / depth))
-                        t = int(np.floor((p[1, 0] * x + p[1, 1] * y + p[1, 2] * z + p[1, 3]) / depth))
-                        if 0 <= u < sizes[v, 0] and 0 <= t < sizes[v, 1] and not solid[v, t, u]:
-                            against[plane, row, column] += 1
-                            culprit[plane, row, column] = v
+                    u, t = pixel_of(forward[v], x, y, z)
+                    if 0 <= u < sizes[v, 0] and 0 <= t < sizes[v, 1] and not solid[v, t, u]:
+                        against[plane, row, column] += 1
+                        culprit[plane, row, column] = v
 
 
 @kernel

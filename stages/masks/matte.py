@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.capture import LightStageCamera
+from pipeline.capture.pixels.linear import read_linear
 from pipeline.engine.stage import StageRun
 from pipeline.errors import UserError
-from pipeline.formats.images import read_image
 from stages.masks.background import tidy
 from stages.masks.clean_plate import hysteresis
 
@@ -23,10 +23,11 @@ BORDER = 0.04
 def light_stage_matte(camera: LightStageCamera, stage: StageRun) -> NDArray[np.uint8]:
     """Matte 0/255 [H, W] from the all-lights frames if there are any, else from the sum of single lights."""
     frames = camera.full_light or camera.parallel[:: max(1, len(camera.parallel) // MAX_FRAMES)]
+    radiometry = stage.capture.config.radiometry
     total = np.zeros((camera.camera.height, camera.camera.width), np.float64)
     with stage.progress.bar(f"matte of {camera.name}", len(frames), "frames") as bar:
         for path in frames:
-            image = read_image(path)
+            image = read_linear(path, radiometry).rgb(path)
             if image.shape[:2] != total.shape:
                 raise UserError(
                     path,

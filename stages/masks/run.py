@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.capture.naming.files import some
+from pipeline.capture.naming.files import count, some
 from pipeline.engine.stage import StageRun
 from pipeline.errors import UserError
-from pipeline.formats.images import read_image, read_stokes, write_png
+from pipeline.formats.dataset_files import MASKS
+from pipeline.formats.images import read_stokes, write_png
 from pipeline.geometry.cameras import Camera
-from pipeline.geometry.lens import Straightener, frame_table, frames_folder, lenses
+from pipeline.geometry.lens import frame_table, frames_folder, lenses
+from pipeline.geometry.worlds import ONE_WORLD
+from stages.masks.given import THRESHOLD, GivenMask, read_given
 from stages.masks.parameters import choose_method
 
-THRESHOLD = 127
 CHECK_SIZE = 240
 
 
@@ -32,15 +35,26 @@ def make_masks(stage: StageRun) -> None:
     for name, mask in sorted(pixels.items()):
         write_png(stage.output / f"{name}.png", mask)
         views[name] = {"method": methods[name], "coverage": float((mask > THRESHOLD).mean())}
+        if views[name]["coverage"] == 0:
+            views[name]["left_out"] = "the mask is empty"
+    refuse_two_worlds(stage, pixels)
     if stage.parameters.hull_check and stage.capture.kind == "multiview":
         flag_disagreement(stage, pixels, views)
+    if stage.capture.kind == "multiview":
+        say_if_one_sided(stage)
+        say_if_segmentation_failed(stage, pixels, methods)
     if stage.capture.polarisation == "stokes":
         say_if_frame_looks_wrong(stage, pixels)
     empty = [name for name in sorted(views) if views[name]["coverage"] == 0]
+    if len(empty) == len(views):
+        raise UserError(stage.capture.root, "no view shows the object: every mask is empty", "give masks/, white on the object")
     if empty:
-        stage.warn(f"{stage.output.name}: the object was not found in {', '.join(empty[:4])}: these views are black")
+        stage.warn(
+            f"{stage.capture.root}: the mask is empty in {count(empty, 'view')} ({some(empty)}), which nothing is learnt from: "
+            "look at the masks"
+        )
     table = {"schema": 1, "method": method, "reason": reason, "views": views}
-    (stage.output / "masks.json").write_text(json.dumps(table, indent=1) + "\n", encoding="utf-8")
+    (stage.output / MASKS).write_text(json.dumps(table, indent=1) + "\n", encoding="utf-8")
 
 
 def flag_disagreement(stage: StageRun, masks: dict[str, NDArray[np.uint8]], views: dict[str, dict[str, Any]]) -> None:
@@ -65,10 +79,54 @@ def flag_disagreement(stage: StageRun, masks: dict[str, NDArray[np.uint8]], view
         stage.warn(
             f"{stage.capture.root}: masks that disagree with the visual hull of the others: {some(flagged)}; look at them"
         )
-    elif flagged:
+    elif flagged and all(views[name]["method"] in GIVEN for name in flagged):
         stage.warn(f"{stage.capture.root}: most masks disagree with each other: are cameras and masks of the same views?")
 
 
+def refuse_two_worlds(stage: StageRun, masks: dict[str, NDArray[np.uint8]]) -> None:
+    """Raise UserError where two physical cameras have poses of two worlds: each one's masks agree, not with the other's."""
+    from stages.masks.inputs import cameras_of
+
+    if stage.capture.kind != "multiview" or len(stage.capture.camera_names) < 2:
+        return
+    from stages.masks.worlds import other_world
+
+    cameras = cameras_of(stage)
+    names = [name for name in sorted(masks) if name in cameras and (masks[name] > THRESHOLD).any()]
+    small = [shrunk(masks[name], cameras[name]) for name in names]
+    pair = other_world([mask for mask, _ in small], [camera for _, camera in small])
+    if pair is not None:
+        raise UserError(stage.capture.root, f"the masks of {pair[0]} and {pair[1]} have no common hull", ONE_WORLD)
+
+
+def say_if_one_sided(stage: StageRun) -> None:
+    """A line where the cameras do not go around the object."""
+    from stages.masks.doubts import one_sided
+    from stages.masks.inputs import cameras_of
+
+    cameras = cameras_of(stage)
+    fault = one_sided([cameras[view] for view in sorted(cameras)])
+    if fault is not None:
+        stage.warn(
+            f"{stage.capture.root}: {fault}: outlines bound no depth and the far side is not seen, so the shape is a guess "
+            "there; take views all around the object"
+        )
+
+
+def say_if_segmentation_failed(stage: StageRun, masks: dict[str, NDArray[np.uint8]], methods: dict[str, str]) -> None:
+    """A line where most of the masks made here cannot be one object's."""
+    from stages.masks.doubts import segmentation_faults
+
+    made = [name for name in sorted(masks) if methods[name] not in (*GIVEN, "none")]
+    faults = segmentation_faults([masks[name] > THRESHOLD for name in made])
+    if faults:
+        stage.warn(
+            f"{stage.capture.root}: the object could not be told from the scene ({'; '.join(faults)}): give masks in masks/, "
+            "named like the views and white on the object"
+        )
+
+
+GIVEN = ("given", "alpha")
 CONTOUR_VIEWS = 12
 
 
@@ -96,26 +154,49 @@ def shrunk(mask: NDArray[np.uint8], camera: Camera) -> tuple[NDArray[np.bool_], 
     return small, camera.resized(small.shape[1], small.shape[0]) if step > 1 else camera
 
 
-def given_mask(path: Path) -> NDArray[np.uint8]:
-    """A given mask's first channel as 8 bits [H, W]. Raises UserError if it is all black."""
-    mask = np.round(np.clip(read_image(path)[..., 0], 0, 1) * 255).astype(np.uint8)
-    if not (mask > THRESHOLD).any():
-        raise UserError(
-            path, "the mask is all black: no object in this view", "mend it, or remove it to have the view segmented"
+def given_masks(stage: StageRun, paths: Mapping[str, Path], what: str) -> dict[str, NDArray[np.uint8]]:
+    """Masks 0..255 by name from files, without those that are white all over; says what was made of them.
+
+    what: "masks" or "alpha", for the user.
+    """
+    found = {name: read_given(path) for name, path in sorted(paths.items())}
+    _say_readings(stage, paths, found)
+    whole = [name for name, mask in found.items() if mask.whole]
+    if whole and what == "alpha":  # cameras and editors write such alpha by themselves: nothing to mend
+        stage.progress.say(f"the alpha of {count(whole, 'image')} is opaque all over and no mask: these are segmented")
+    elif whole:
+        stage.warn(
+            f"{paths[whole[0]]}: {count(whole, 'mask')} white all over ({some(whole)}), which tells no object from anything: "
+            "these are segmented; mend them, or take the whole frame with masks.method=none"
         )
-    return mask
+    return {name: mask.pixels for name, mask in found.items() if not mask.whole}
+
+
+def _say_readings(stage: StageRun, paths: Mapping[str, Path], found: Mapping[str, GivenMask]) -> None:
+    """One line for each way in which masks were read that is not the plain one."""
+    readings: dict[str, list[str]] = {}
+    for name, mask in found.items():
+        if mask.reading is not None:
+            readings.setdefault(mask.reading, []).append(name)
+    for reading, names in readings.items():
+        more = f" and {count(names[1:], 'more mask')}" if len(names) > 1 else ""
+        stage.progress.say(f"{paths[names[0]]}{more}: {reading}")
+    if readings:
+        stage.note("masks_read", {reading: len(names) for reading, names in readings.items()})
 
 
 def light_stage_masks(stage: StageRun, method: str) -> dict[str, tuple[NDArray[np.uint8], str]]:
     """One mask per camera: its mask file, else a matte from its frames."""
     light_stage = stage.capture.light_stage
     assert light_stage is not None
+    files = {name: camera.mask for name, camera in light_stage.cameras.items() if camera.mask is not None}
+    given = given_masks(stage, files, "masks") if method not in ("none", "matte") else {}
     out = {}
     for name, camera in sorted(light_stage.cameras.items()):
         if method == "none":
             out[name] = np.full((camera.camera.height, camera.camera.width), 255, np.uint8), "none"
-        elif camera.mask is not None and method != "matte":
-            out[name] = given_mask(camera.mask), "given"
+        elif name in given:
+            out[name] = given[name], "given"
         else:
             from stages.masks.matte import light_stage_matte
 
@@ -131,13 +212,12 @@ def multiview_masks(stage: StageRun, method: str) -> dict[str, tuple[NDArray[np.
         return {v: (np.full((f["height"], f["width"]), 255, np.uint8), "none") for v, f in frames.items()}
     if method == "given":
         given = stage.capture.masks if isinstance(stage.capture.masks, dict) else {}
-        for view, path in given.items():
-            mask = given_mask(path)
-            out[view] = Straightener(bent[view]).mask(mask) if view in bent else mask, "given"
+        for view, mask in given_masks(stage, given, "masks").items():
+            out[view] = bent[view].mask(mask) if view in bent else mask, "given"
     elif method == "alpha":
-        for view, frame in frames.items():
-            if frame["alpha"]:
-                out[view] = given_mask(frames_folder(stage.inputs) / frame["alpha"]), "alpha"
+        folder = frames_folder(stage.inputs)
+        alphas = {view: folder / frame["alpha"] for view, frame in frames.items() if frame["alpha"]}
+        out = {view: (mask, "alpha") for view, mask in given_masks(stage, alphas, "alpha").items()}
     missing = [view for view in frames if view not in out]
     if missing:
         from stages.masks.segment import segment_views

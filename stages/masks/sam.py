@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from pipeline.engine.stage import StageRun
 from pipeline.errors import UserError
+from pipeline.formats import dataset_files as files
+from pipeline.formats.ply import Ply
 from pipeline.geometry.cameras import Camera
 from stages.masks.background import Fixation, fixation, tidy
 from stages.masks.grabcut import display
@@ -119,10 +121,8 @@ def segment_image(model: Any, image: NDArray[np.uint8], points: NDArray | None, 
 
 def _points(stage: StageRun, ball: Fixation | None) -> NDArray | None:
     """The sparse model's points inside the ball that the cameras look at."""
-    path = stage.inputs.get("poses", Path("/nonexistent")) / "points.ply"
+    path = stage.inputs.get("poses", Path("/nonexistent")) / files.POINTS
     if not path.is_file():
         return None
-    data = path.read_bytes()
-    start = data.index(b"end_header\n") + len(b"end_header\n")
-    cloud = np.frombuffer(data[start:], [("xyz", "<f4", 3), ("rgb", "u1", 3)])["xyz"].astype(float)
+    cloud = Ply(path).vertices()
     return cloud if ball is None else cloud[np.linalg.norm(cloud - ball.centre, axis=-1) < ball.radius]

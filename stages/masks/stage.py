@@ -32,7 +32,7 @@ def run(stage: StageRun) -> None:
 
 STAGE = Stage(
     name="masks",
-    version=2,
+    version=5,
     parameters=MasksParameters,
     needs=("decode", "poses"),
     needed=needed,

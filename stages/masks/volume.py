@@ -74,6 +74,17 @@ def ray_maxima(
     return out
 
 
+@kernel
+def pixel_of(p, x, y, z):
+    """Column and row of the pixel that a point falls on under the pinhole matrix p [3, 4]; (-1, -1) behind the camera."""
+    depth = p[2, 0] * x + p[2, 1] * y + p[2, 2] * z + p[2, 3]
+    if depth <= 0:
+        return -1, -1
+    u = (p[0, 0] * x + p[0, 1] * y + p[0, 2] * z + p[0, 3]) / depth
+    t = (p[1, 0] * x + p[1, 1] * y + p[1, 2] * z + p[1, 3]) / depth
+    return int(np.floor(u)), int(np.floor(t))
+
+
 @kernel(parallel=True)
 def _gather(scores, forward, sizes, low, step, out):
     n = out.shape[0]
@@ -85,13 +96,9 @@ def _gather(scores, forward, sizes, low, step, out):
                 x = low[0] + (column + 0.5) * step
                 total = 0.0
                 for v in range(forward.shape[0]):
-                    p = forward[v]
-                    depth = p[2, 0] * x + p[2, 1] * y + p[2, 2] * z + p[2, 3]
-                    if depth > 0:
-                        u = int(np.floor((p[0, 0] * x + p[0, 1] * y + p[0, 2] * z + p[0, 3]) / depth))
-                        t = int(np.floor((p[1, 0] * x + p[1, 1] * y + p[1, 2] * z + p[1, 3]) / depth))
-                        if 0 <= u < sizes[v, 0] and 0 <= t < sizes[v, 1]:
-                            total += scores[v, t, u]
+                    u, t = pixel_of(forward[v], x, y, z)
+                    if 0 <= u < sizes[v, 0] and 0 <= t < sizes[v, 1]:
+                        total += scores[v, t, u]
                 out[plane, row, column] = total
 
 

@@ -58,11 +58,12 @@ def bake(mesh: Mesh, views: Iterable[DepthView], tolerance: float) -> tuple[Mesh
     return Mesh(mesh.vertices, mesh.faces, attributes), float(seen.mean())
 
 
-def vertex_table(mesh: Mesh) -> tuple[list[str], NDArray[np.float32], NDArray[np.uint8]]:
-    """Names and values [V, n] of a mesh's float vertex properties, and display colours [V, 3]."""
+def vertex_table(mesh: Mesh) -> dict[str, NDArray]:
+    """A mesh's vertex properties by name, [V] each: position, normal, material, and display colour in bytes."""
     from pipeline.formats.images import srgb_encode
 
     material = mesh.attributes["material"]
     values = np.concatenate([mesh.vertices.astype(np.float32), mesh.attributes["normal"], material], -1)
     colour = (srgb_encode(material[:, :3]) * 255 + 0.5).astype(np.uint8)
-    return ["x", "y", "z", "nx", "ny", "nz", *NAMES], values, colour
+    table: dict[str, NDArray] = dict(zip(("x", "y", "z", "nx", "ny", "nz", *NAMES), values.T))
+    return table | dict(zip(("red", "green", "blue"), colour.T))

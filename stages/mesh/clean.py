@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.geometry.normals import UPWARD, vertex_normals
+
 
 @dataclass
 class Mesh:
@@ -32,14 +34,7 @@ class Mesh:
 
     def normals(self) -> NDArray[np.float64]:
         """Area-weighted unit vertex normals [V, 3]; +z where a vertex has no area to tell."""
-        a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))
-        face = np.cross(b - a, c - a)
-        out = np.zeros_like(self.vertices)
-        for k in range(3):
-            np.add.at(out, self.faces[:, k], face)
-        length = np.linalg.norm(out, axis=1, keepdims=True)
-        up = np.broadcast_to([0.0, 0.0, 1.0], out.shape).copy()
-        return np.divide(out, length, out=up, where=length > 0)
+        return vertex_normals(self.vertices, self.faces, UPWARD)
 
 
 def keep_faces(mesh: Mesh, keep: NDArray[np.bool_]) -> Mesh:

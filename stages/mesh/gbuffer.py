@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import UserError
-from pipeline.formats.images import read_image
+from pipeline.formats import dataset_files as files
+from pipeline.formats.gbuffer import read_gbuffer
 from pipeline.geometry.cameras import Camera
 
 Image = NDArray[np.float32]
@@ -31,17 +32,17 @@ class DepthView:
     alpha: Image
 
 
-CHANNELS = ("depth", "alpha", "N.X", "N.Y", "N.Z", "albedo.R", "albedo.G", "albedo.B", "roughness", "ior")
-
-
 class Views:
     """Every VIEW with a G-buffer, read again whenever it is iterated over: a large capture does not fit into memory."""
 
-    def __init__(self, folder: Path, cameras: dict[str, Camera]) -> None:
-        """Raises UserError when no view shows the object."""
-        self._files = [(folder / f"{v}.exr", c) for v, c in sorted(cameras.items()) if (folder / f"{v}.exr").exists()]
+    def __init__(self, train: Path, cameras: dict[str, Camera]) -> None:
+        """`train`: the train stage's folder. Raises UserError when no view shows the object."""
+        paths = [(files.gbuffer(train, view), camera) for view, camera in sorted(cameras.items())]
+        self._files = [(path, camera) for path, camera in paths if path.exists()]
         if not any((view.depth > 0).any() for view in self):
-            raise UserError(folder, "no view shows the object", "look at the train stage's pictures: did it train?")
+            raise UserError(
+                train / files.GBUFFERS, "no view shows the object", "look at the train stage's pictures: did it train?"
+            )
 
     def __len__(self) -> int:
         return len(self._files)
@@ -53,8 +54,8 @@ class Views:
 
 def read_view(path: Path, camera: Camera) -> DepthView:
     """One G-buffer. Raises UserError."""
-    a = read_image(path, CHANNELS)
-    solid = (a[..., 1] > SOLID) & (a[..., 0] > 0)
-    depth = np.where(solid, a[..., 0], 0)
-    here = camera if camera.width == a.shape[1] else camera.resized(a.shape[1], a.shape[0])
-    return DepthView(here, depth, a[..., 2:5], a[..., 5:10], a[..., 1])
+    surface = read_gbuffer(path)
+    solid = (surface.alpha > SOLID) & (surface.depth > 0)
+    height, width = solid.shape
+    depth = np.where(solid, surface.depth, 0)
+    return DepthView(camera.resized(width, height), depth, surface.normal, surface.material, surface.alpha)

@@ -6,6 +6,8 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from pipeline.geometry.rays import RayMesh
+
 from .clean import Mesh
 from .gbuffer import DepthView
 
@@ -18,20 +20,12 @@ def outline_gap(mesh: Mesh, views: Iterable[DepthView]) -> float:
     Positive where the mesh is too small. The area by opacity counts partly covered pixels in part, so it is good to a small
     fraction of a pixel.
     """
-    import open3d as o3d
-
-    scene = o3d.t.geometry.RaycastingScene()
-    scene.add_triangles(
-        o3d.core.Tensor(np.ascontiguousarray(mesh.vertices, np.float32)),
-        o3d.core.Tensor(np.ascontiguousarray(mesh.faces, np.uint32)),
-    )
+    solid = RayMesh(mesh.vertices, mesh.faces)
     gaps = []
     for view in views:
         camera = view.camera
         fine = camera.resized(camera.width * SUBSAMPLES, camera.height * SUBSAMPLES)
-        rays = fine.rays().astype(np.float32)
-        both = np.concatenate([np.broadcast_to(fine.centre.astype(np.float32), rays.shape), rays], -1)
-        covered = scene.test_occlusions(o3d.core.Tensor(np.ascontiguousarray(both))).numpy()
+        covered = solid.blocked(fine.centre, fine.rays())
         if not covered.any() or not view.depth.any():
             continue
         border = covered[[0, -1]].any() or covered[:, [0, -1]].any()

@@ -6,14 +6,16 @@ import numpy as np
 
 from pipeline.engine.stage import StageRun
 from pipeline.errors import UserError
-from pipeline.geometry.cameras import load_cameras
+from pipeline.formats import dataset_files as files
+from pipeline.formats.ply import write_ply
+from pipeline.geometry.cameras import load_cameras, world_offset
+from pipeline.geometry.world_offset import ply_comment
 
 from .attributes import bake, vertex_table
 from .clean import Mesh, fill_holes, in_fixed_order, keep_faces, largest_pieces, without_slivers
 from .fusion import Extent, Volume, measure
 from .gbuffer import Views
 from .outline import outline_gap
-from .ply import write_ply
 from .refine import following_normals
 
 ROUNDS = 2  # of matching outlines: the second corrects the first by a few percent of it
@@ -23,7 +25,8 @@ MOST_OUTWARD = 0.5  # of the truncation, where the field is still a distance
 def make_mesh(run: StageRun) -> None:
     """Fuse, extract, clean, bake, write."""
     p = run.parameters
-    views = Views(run.inputs["train"] / "gbuffer", load_cameras(run.inputs["poses"] / "cameras.json"))
+    cameras = run.inputs["poses"] / files.CAMERAS
+    views = Views(run.inputs["train"], load_cameras(cameras))
     extent = measure(views)
     voxel = max(p.voxel_px * extent.footprint, extent.size / p.max_voxels)
     mesh, outward = _surface(run, views, extent, voxel)
@@ -33,7 +36,7 @@ def make_mesh(run: StageRun) -> None:
     mesh, seen = bake(in_fixed_order(without_slivers(mesh)), views, 2 * voxel + abs(outward))
     if p.follow_normals:
         mesh = following_normals(mesh, p.follow_normals)
-    write_ply(run.output / "mesh.ply", *vertex_table(mesh), mesh.faces)
+    write_ply(run.output / files.MESH, vertex_table(mesh), mesh.faces, comments=ply_comment(world_offset(cameras)))
     run.note("size", extent.size)
     run.note("voxel", voxel)
     run.note("outward", outward)
@@ -63,7 +66,7 @@ def _surface(run: StageRun, views: Views, extent: Extent, voxel: float) -> tuple
         outward = float(np.clip(outward + outline_gap(mesh, views), -limit, limit))
         mesh = pieces(outward)
     if not len(mesh.faces):
-        folder = run.inputs["train"] / "gbuffer"
+        folder = run.inputs["train"] / files.GBUFFERS
         raise UserError(folder, "the depth images hold no surface", "look at the train stage's pictures: did it train?")
     return mesh, outward
 
@@ -74,4 +77,5 @@ def _write_poisson(run: StageRun, mesh: Mesh, views: Views, voxel: float) -> Non
     surface = largest_pieces(without_slivers(poisson_surface(mesh, run.parameters.poisson_depth)), 0.02)
     surface = in_fixed_order(keep_faces(surface, surface.area() > 0))
     surface, _ = bake(surface, views, 3 * voxel)
-    write_ply(run.output / "mesh_poisson.ply", *vertex_table(surface), surface.faces)
+    told = ply_comment(world_offset(run.inputs["poses"] / files.CAMERAS))
+    write_ply(run.output / "mesh_poisson.ply", vertex_table(surface), surface.faces, comments=told)

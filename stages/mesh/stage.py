@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from pipeline.capture import Capture
+from pipeline.capture.view_rules import too_few_views
 from pipeline.engine.stage import Decision, Stage, StageRun
 
 from .parameters import MeshParameters
-
-MIN_TRAINING_VIEWS = 8  # as the train stage: fewer have no model
 
 
 def needed(capture: Capture, parameters: MeshParameters) -> Decision:
     """Only where a model is trained: depth comes from it."""
     if capture.kind == "light_stage":
         return Decision(False, "a light stage has no views all around, so no model to take a surface from")
-    if len(capture.views) < MIN_TRAINING_VIEWS:
-        return Decision(False, f"too few views for a model: {len(capture.views)}, at least {MIN_TRAINING_VIEWS} are needed")
+    if few := too_few_views(capture):
+        return Decision(False, few)
     return Decision(True, "a model is trained: its depth images become a surface")
 
 

@@ -6,11 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.formats.images import srgb_encode
+from pipeline.optics.stokes import angle, degree
 
 Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 PSNR_CEILING_DB = 120.0  # of equal images
 SSIM_SIGMA, SSIM_RADIUS = 1.5, 5  # Wang et al. 2004: an 11-pixel Gaussian window
+BLACK = 1e-4  # s0 below which noise would be wholly polarised
 DARK = 0.01  # luminance below which DoLP is noise over nothing
 POLARISED = 0.05  # DoLP below which an angle means nothing
 
@@ -62,21 +64,22 @@ def radiance_figures(image: Image, truth: Image, mask: Mask) -> dict[str, float]
 
 def dolp_aolp(stokes: NDArray) -> tuple[NDArray, NDArray]:
     """Degree [0, 1..] and angle (radians, (-pi/2, pi/2]) of linear polarisation of the colour mean of [H, W, 3, 3]."""
-    s0, s1, s2 = np.moveaxis(stokes.mean(-1, dtype=np.float64), -1, 0)
-    return np.hypot(s1, s2) / np.maximum(s0, 1e-4), 0.5 * np.arctan2(s2, s1)  # 1e-4: black pixels have DoLP 0, not NaN
+    mean = stokes.mean(-1, dtype=np.float64)
+    mean[..., 0] = np.maximum(mean[..., 0], BLACK)
+    return degree(mean), angle(mean)
 
 
 def polarisation_figures(stokes: NDArray, truth: NDArray, mask: Mask) -> dict[str, float]:
     """Mean errors of DoLP and AoLP (degrees, up to 90) where there is light, and for AoLP where it is polarised."""
-    degree, angle = dolp_aolp(stokes)
-    true_degree, true_angle = dolp_aolp(truth)
+    dolp, aolp = dolp_aolp(stokes)
+    true_dolp, true_aolp = dolp_aolp(truth)
     lit = mask & (truth[:, :, 0].mean(-1) > DARK)
     out = {}
     if lit.any():
-        out["dolp_mae"] = float(np.abs(degree - true_degree)[lit].mean())
-    polarised = lit & (true_degree > POLARISED)
+        out["dolp_mae"] = float(np.abs(dolp - true_dolp)[lit].mean())
+    polarised = lit & (true_dolp > POLARISED)
     if polarised.any():
-        difference = (angle - true_angle + np.pi / 2) % np.pi - np.pi / 2
+        difference = (aolp - true_aolp + np.pi / 2) % np.pi - np.pi / 2
         out["aolp_mae_deg"] = float(np.degrees(np.abs(difference))[polarised].mean())
     return out
 

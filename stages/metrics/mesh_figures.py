@@ -8,6 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import UserError
+from pipeline.formats.dataset_files import MESH
+from pipeline.formats.ply import Ply
+from pipeline.geometry.world_offset import offset_told
 
 from .table import Table
 
@@ -43,19 +46,19 @@ def surface_figures(mesh: tuple[NDArray, NDArray], truth: tuple[NDArray, NDArray
 
 
 def read_mesh(path: Path) -> tuple[NDArray, NDArray]:
-    """Vertices [V, 3] and triangles [F, 3] of a mesh file. Raises UserError."""
-    import open3d as o3d
-
-    mesh = o3d.io.read_triangle_mesh(str(path))
-    if not len(mesh.triangles):
+    """Vertices [V, 3] and triangles [F, 3] of a PLY mesh. Raises UserError."""
+    ply = Ply(path)
+    triangles = ply.triangles()
+    if not len(triangles):
         raise UserError(path, "holds no triangle", "mend or remove it")
-    return np.asarray(mesh.vertices), np.asarray(mesh.triangles)
+    return ply.vertices(), triangles
 
 
 def mesh_table(folder: Path, truth: Path, count: int) -> Table:
     """Figures of mesh.ply."""
     table = Table()
-    mesh = read_mesh(folder / "mesh.ply")
+    vertices, faces = read_mesh(folder / MESH)
+    mesh = vertices + offset_told(folder / MESH), faces
     table.figures["triangles"] = len(mesh[1])
     if truth.is_file():
         table.figures |= surface_figures(mesh, read_mesh(truth), count)

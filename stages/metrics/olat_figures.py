@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -10,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.capture.light_stage.folders import home_of
-from pipeline.formats.arrays import array_names, read_array
-from pipeline.formats.images import read_exr, read_image
+from pipeline.formats import dataset_files as files
+from pipeline.formats.ground_truth import Truth, camera_maps
+from pipeline.formats.images import RGB, XYZ, read_exr, read_image
 
 from .image_figures import angle_deg, erode
 from .table import Table
-from .truth import RGB, XYZ
 
 NORMALS = ("diffuse_normal", "specular_normal", "normal")
 TRUE_FIGURES = (*NORMALS, "albedo_rel_median", "albedo_rel_mean")
@@ -23,11 +22,11 @@ RIM = 2  # pixels at the silhouette are partly background
 DARKEST = 0.02  # albedo below which a relative error means nothing
 
 
-def olat_table(olat: Path, capture: Path) -> Table:
+def olat_table(olat: Path, truth: Truth) -> Table:
     """One part per camera, a row for each, and the rows' means."""
     table = Table()
-    for folder in sorted(p for p in olat.iterdir() if p.is_dir()):
-        part = _camera(folder, capture)
+    for folder in files.subfolders(olat):
+        part = _camera(folder, truth)
         table.parts[folder.name] = part
         table.rows.append({"view": folder.name, **_flat(part.figures)})
     table.means()
@@ -47,14 +46,13 @@ def _flat(figures: dict[str, Any]) -> dict[str, Any]:
     return out
 
 
-def _camera(folder: Path, capture: Path) -> Table:
+def _camera(folder: Path, ground_truth: Truth) -> Table:
     part = Table()
-    path = home_of(capture, folder.name) / "gt" / "maps.npz"
-    residual = read_exr(folder / "residual.exr")
-    flag, sigma = residual["flag"], read_image(folder / "sigma.exr", ("X", "Y"))
-    specular = read_image(folder / "specular_albedo.exr", ("Y",))[..., 0]
-    fitted = np.linalg.norm(read_image(folder / "normal.exr", XYZ), axis=-1) > 0.5
-    truth = _load(path) if path.is_file() else None
+    residual = read_exr(files.camera_map(folder, "residual"))
+    flag, sigma = residual["flag"], read_image(files.camera_map(folder, "sigma"), ("X", "Y"))
+    specular = read_image(files.camera_map(folder, "specular_albedo"), ("Y",))[..., 0]
+    fitted = np.linalg.norm(read_image(files.camera_map(folder, "normal"), XYZ), axis=-1) > 0.5
+    truth = camera_maps(home_of(ground_truth.root, folder.name))
     inside = fitted if truth is None else erode(truth["mask"] > 0.5, RIM)
     part.figures["pixels"] = int((fitted if truth is None else truth["mask"] > 0.5).sum())
     if not inside.any():
@@ -62,14 +60,15 @@ def _camera(folder: Path, capture: Path) -> Table:
         return part
     if truth is not None:
         for name in NORMALS:
-            error = angle_deg(read_image(folder / f"{name}.exr", XYZ), truth["normal"])[inside]
+            error = angle_deg(read_image(files.camera_map(folder, name), XYZ), truth["normal"])[inside]
             part.figures[name] = {
                 "median": float(np.median(error)),
                 "mean": float(error.mean()),
                 "p90": float(np.percentile(error, 90)),
             }
         true = truth["albedo"][..., :3][inside]
-        relative = np.abs(read_image(folder / "diffuse_albedo.exr", RGB)[inside] - true) / np.maximum(true, DARKEST)
+        albedo = read_image(files.camera_map(folder, "diffuse_albedo"), RGB)[inside]
+        relative = np.abs(albedo - true) / np.maximum(true, DARKEST)
         part.figures["albedo_rel_median"] = float(np.median(relative))
         part.figures["albedo_rel_mean"] = float(relative.mean())
     part.missing(TRUE_FIGURES, f"the capture has no {folder.name}/gt/maps.npz")
@@ -77,22 +76,16 @@ def _camera(folder: Path, capture: Path) -> Table:
     part.figures["specular_albedo_median"] = float(np.median(specular[inside]))
     part.figures["residual_median"] = float(np.median(residual["Y"][inside]))
     part.figures["flagged_pct"] = float(100 * (flag[inside] > 0).mean())
-    _lobe(part, folder, capture, truth, inside)
+    _lobe(part, folder, ground_truth.document("gt_brdf.json"), truth, inside)
     return part
 
 
-def _load(path: Path) -> dict[str, NDArray]:
-    wanted = ("mask", "normal", "albedo", "dp_du")
-    return {name: read_array(path, name) for name in array_names(path) if name in wanted}
-
-
-def _lobe(part: Table, folder: Path, capture: Path, truth: dict[str, NDArray] | None, inside: NDArray) -> None:
+def _lobe(part: Table, folder: Path, brdf: dict | None, truth: dict[str, NDArray] | None, inside: NDArray) -> None:
     """Errors of the lobe's widths and of the direction of the larger one."""
-    path = capture / "gt_brdf.json"
-    if truth is None or not path.is_file():
+    if truth is None or brdf is None:
         part.missing(["sigma_rel_error"], "the capture has no gt_brdf.json")
         return
-    true = json.loads(path.read_text())["sigma"]
+    true = brdf["sigma"]
     part.figures["sigma_rel_error"] = [abs(x / y - 1) for x, y in zip(part.figures["sigma_median"], sorted(true, reverse=True))]
     if true[0] == true[1]:
         return
@@ -104,7 +97,7 @@ def _lobe(part: Table, folder: Path, capture: Path, truth: dict[str, NDArray] | 
     length = np.linalg.norm(u, axis=-1, keepdims=True)
     u = np.divide(u, length, out=np.zeros_like(u), where=length > 0)
     axis = np.cross(normal, u) if true[1] > true[0] else u
-    tangent = read_image(folder / "tangent.exr", XYZ)[inside]
+    tangent = read_image(files.camera_map(folder, "tangent"), XYZ)[inside]
     there = (np.linalg.norm(tangent, axis=-1) > 0.5) & (length[:, 0] > 0)
     if there.any():
         error = angle_deg(tangent[there], axis[there])

@@ -7,27 +7,23 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.formats.images import read_image, read_mask, srgb_encode
+from pipeline.formats import dataset_files as files
+from pipeline.formats.ground_truth import Truth
+from pipeline.formats.images import RGB, S0, read_image, read_mask, srgb_encode
 
 from .image_figures import psnr, ssim
 from .table import Table
-from .truth import RGB, Truth
 
-S0 = ("S0.R", "S0.G", "S0.B")
 FIGURES = ("psnr_srgb", "psnr_srgb_scaled", "ssim", "scale_r", "scale_g", "scale_b")
 
 
 def relight_table(relight: Path, truth: Truth) -> Table:
     """One part per environment with its views as rows."""
     table = Table()
-    for folder in _environments(relight):
+    for folder in files.subfolders(relight):
         part = Table()
-        for path in sorted((truth.root / "gt" / "relight" / folder.name).glob("*.exr")):
-            by_place = {f"{k:03d}": view for k, view in enumerate(truth.views)}
-            view = path.stem if path.stem in truth.views else by_place.get(path.stem)
-            if view is None:  # of no view of this capture
-                continue
-            image, true = read_image(folder / f"{view}.exr", S0), read_image(path, S0)
+        for view, path in truth.images(f"relight/{folder.name}"):
+            image, true = read_image(files.relit(folder, view), S0), read_image(path, S0)
             part.rows.append({"view": view, **relight_figures(image, true)})
         part.means()
         part.figures["views"] = len(part.rows)
@@ -52,14 +48,14 @@ def relight_figures(image: np.ndarray, truth: np.ndarray) -> dict[str, float]:
 def light_stage_table(relight: Path, masks: Path | None) -> Table:
     """How well the fitted maps explain the frames: PSNR between the two relit images of each camera."""
     table = Table()
-    for folder in _environments(relight):
+    for folder in files.subfolders(relight):
         part = Table()
-        for summed in sorted(folder.glob("cam*_olat.exr")):
-            name = summed.stem.removesuffix("_olat")
-            if not (folder / f"{name}.exr").exists():
+        for summed in sorted(folder.glob(f"cam*{files.SUMMED}.exr")):
+            name = summed.stem.removesuffix(files.SUMMED)
+            if not files.relit(folder, name).exists():
                 continue
-            a, b = (srgb_encode(read_image(p, RGB)) for p in (folder / f"{name}.exr", summed))
-            mask = read_mask(masks / f"{name}.png") if masks and (masks / f"{name}.png").exists() else None
+            a, b = (srgb_encode(read_image(p, RGB)) for p in (files.relit(folder, name), summed))
+            mask = read_mask(files.mask(masks, name)) if masks and files.mask(masks, name).exists() else None
             row: dict[str, Any] = {"view": name, "maps_vs_frames_psnr": psnr(a, b), "maps_vs_frames_ssim": ssim(a, b)}
             if mask is not None and mask.any():
                 row["maps_vs_frames_psnr_foreground"] = psnr(a, b, mask)
@@ -68,7 +64,3 @@ def light_stage_table(relight: Path, masks: Path | None) -> Table:
         part.missing(["psnr_srgb"], "a light stage's relit images have no truth")
         table.parts[folder.name] = part
     return table
-
-
-def _environments(relight: Path) -> list[Path]:
-    return sorted(p for p in relight.iterdir() if p.is_dir())

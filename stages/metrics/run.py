@@ -6,21 +6,21 @@ import json
 from typing import Any
 
 from pipeline.engine.stage import StageRun
-from pipeline.geometry.lens import frames_folder
+from pipeline.formats import dataset_files as files
+from pipeline.geometry.lens import FRAMES, frames_folder
 
 from .mesh_figures import mesh_table
 from .olat_figures import olat_table
 from .relight_figures import light_stage_table, relight_table
 from .table import Table
 from .train_figures import train_table
-from .truth import Truth
 
 COSTS = ("wall_s", "cpu_s", "peak_rss_mb")
 
 
 def measure(run: StageRun) -> None:
     """Write metrics.json and report.html."""
-    manifests = {name: json.loads((folder / "manifest.json").read_text()) for name, folder in run.inputs.items()}
+    manifests = {name: json.loads((folder / files.MANIFEST).read_text()) for name, folder in run.inputs.items()}
     tables = figures(run)
     out: dict[str, Any] = {"schema": 1}
     for name, manifest in manifests.items():
@@ -35,7 +35,7 @@ def measure(run: StageRun) -> None:
 def figures(run: StageRun) -> dict[str, Table]:
     """A table for every stage that ran and has figures beside its costs."""
     inputs, capture = run.inputs, run.capture
-    truth = Truth(capture.root, tuple(sorted(v.view for v in capture.views)))
+    truth = capture.truth
     masks = inputs.get("masks")
     tables: dict[str, Table] = {}
     steps = [name for name in ("decode", "masks", "olat", "train", "mesh", "relight") if name in inputs]
@@ -46,13 +46,15 @@ def figures(run: StageRun) -> dict[str, Table]:
             elif name == "masks":
                 tables[name] = _masks_table(run)
             elif name == "olat":
-                tables[name] = olat_table(inputs["olat"], capture.root)
+                tables[name] = olat_table(inputs["olat"], truth)
             elif name == "train":
                 decode = frames_folder(inputs)
-                frames = json.loads((decode / "frames.json").read_text())
+                frames = json.loads((decode / FRAMES).read_text())
                 tables[name] = train_table(inputs["train"], decode, masks, truth, frames)
+                for line in tables[name].doubts:
+                    run.warn(line)
             elif name == "mesh":
-                tables[name] = mesh_table(inputs["mesh"], capture.root / "gt" / "mesh.ply", run.parameters.mesh_samples)
+                tables[name] = mesh_table(inputs["mesh"], truth.mesh, run.parameters.mesh_samples)
             elif capture.kind == "light_stage":
                 tables[name] = light_stage_table(inputs["relight"], masks)
             else:
@@ -64,7 +66,7 @@ def figures(run: StageRun) -> dict[str, Table]:
 def _decode_table(run: StageRun) -> Table:
     """What decode found of each view."""
     table = Table()
-    path = run.inputs["decode"] / "frames.json"
+    path = run.inputs["decode"] / FRAMES
     if path.exists():
         for view, facts in sorted(json.loads(path.read_text()).get("views", {}).items()):
             row = {k: facts.get(k) for k in ("saturated_fraction", "noise", "condition") if facts.get(k) is not None}
@@ -76,7 +78,7 @@ def _decode_table(run: StageRun) -> Table:
 def _masks_table(run: StageRun) -> Table:
     """Coverage of each mask."""
     table = Table()
-    path = run.inputs["masks"] / "masks.json"
+    path = run.inputs["masks"] / files.MASKS
     if path.exists():
         for view, facts in sorted(json.loads(path.read_text()).get("views", {}).items()):
             if isinstance(facts, dict) and "coverage" in facts:

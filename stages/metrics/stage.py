@@ -20,10 +20,7 @@ def needed(capture: Capture, parameters: MetricsParameters) -> Decision:
 
 def capture_files(capture: Capture) -> Iterable[Path]:
     """The capture's ground truth."""
-    root = capture.root
-    loose = [root / "gt_brdf.json", root / "gt_lp.json", *sorted(root.glob("*/gt/maps.npz"))]
-    folder = sorted(p for p in (root / "gt").rglob("*") if p.is_file()) if (root / "gt").is_dir() else []
-    return [p for p in loose if p.is_file()] + folder
+    return capture.truth.files()
 
 
 def check(capture: Capture) -> None:
@@ -42,7 +39,7 @@ def run(run: StageRun) -> None:
 
 STAGE = Stage(
     name="metrics",
-    version=2,
+    version=3,
     parameters=MetricsParameters,
     needs=("decode", "poses", "masks", "olat", "train", "mesh", "relight"),
     needed=needed,

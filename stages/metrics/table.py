@@ -11,12 +11,14 @@ import numpy as np
 
 @dataclass
 class Table:
-    """Figures of one stage. `parts` are tables of their own (a camera of a light stage, an environment)."""
+    """Figures of one stage. `parts` are tables of their own (a camera of a light stage, an environment); `doubts` are lines for
+    the user."""
 
     figures: dict[str, Any] = field(default_factory=dict)
     rows: list[dict[str, Any]] = field(default_factory=list)
     why: dict[str, str] = field(default_factory=dict)
     parts: dict[str, Table] = field(default_factory=dict)
+    doubts: list[str] = field(default_factory=list)
 
     def missing(self, names: Iterable[str], reason: str) -> None:
         """Mark figures that are not there as null, with the reason."""

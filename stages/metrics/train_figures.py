@@ -8,12 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.formats.images import read_exr, read_image, read_stokes
+from pipeline.formats import dataset_files as files
+from pipeline.formats.gbuffer import surface_of
+from pipeline.formats.ground_truth import Truth
+from pipeline.formats.images import RGB, read_exr, read_image, read_stokes
+from pipeline.report.explained import Explained, doubts, explained
 
 from .environment_figures import environment_figures
 from .image_figures import erode, normal_figures, polarisation_figures, radiance_figures
 from .table import Table
-from .truth import RGB, Truth, read_target
+from .targets import read_target
 
 NORMALS = ("normal_mae_deg", "normal_cosine_distance")
 RADIANCE = ("psnr_srgb", "psnr_foreground", "ssim")
@@ -24,10 +28,15 @@ ENVIRONMENT = ("env_psnr", "env_psnr_scaled", "env_log_correlation")
 def train_table(train: Path, decode: Path, masks: Path | None, truth: Truth, frames: dict[str, Any]) -> Table:
     """Figures of every test view, their means, and those of the whole model."""
     table = Table()
-    tests = sorted(p.stem for p in (train / "test").glob("*.exr"))
-    angles = json.loads((train / "polarisers.json").read_text()) if (train / "polarisers.json").exists() else {}
+    tests = files.held_back_views(train)
+    polarisers = train / files.POLARISERS
+    angles = json.loads(polarisers.read_text()) if polarisers.exists() else {}
     for view in tests:
         table.rows.append({"view": view, **_view_figures(train, decode, masks, truth, view, frames, angles)})
+    told = {
+        row["view"]: Explained(row.get("likeness"), row.get("off"), row.get("polarisation_unexplained")) for row in table.rows
+    }
+    table.doubts = doubts(told)
     table.figures["views"] = len(tests)
     table.means()
     table.missing(NORMALS, "the capture has no gt/normal")
@@ -43,36 +52,38 @@ def train_table(train: Path, decode: Path, masks: Path | None, truth: Truth, fra
 def _view_figures(
     train: Path, decode: Path, masks: Path | None, truth: Truth, view: str, frames: dict[str, Any], angles: dict[str, Any]
 ) -> dict[str, float]:
-    path = train / "test" / f"{view}.exr"
-    stokes, channels = read_stokes(path), read_exr(path)
-    normal = np.stack([channels[f"N.{c}"] for c in "XYZ"], -1)
+    path = files.held_back_image(train, view)
+    stokes, surface = read_stokes(path), surface_of(read_exr(path))
+    normal = surface.normal
     target, true_normal = read_target(decode, masks, view), truth.normal(view)
     inside = target.inside
     if target.stokes is None and true_normal is not None:
         inside = erode(np.linalg.norm(true_normal, axis=-1) > 0.5, 1)
     elif inside is None:
-        inside = channels["alpha"] > 0.5
+        inside = surface.alpha > 0.5
     if not inside.any():
         return {}
-    out = {"ior_mean": float(channels["ior"][inside].mean()), "roughness_mean": float(channels["roughness"][inside].mean())}
+    out = {"ior_mean": float(surface.ior[inside].mean()), "roughness_mean": float(surface.roughness[inside].mean())}
     if true_normal is not None and true_normal.shape == normal.shape:
         out |= normal_figures(normal, true_normal, inside)
     if target.rgb.shape != stokes[:, :, 0].shape:
         return out
     stokes = stokes * target.compared[..., None, None]
+    facts = frames.get("views", {}).get(view, {})
+    seen, polarised, suffix = stokes[:, :, 0], None, ""
     if target.stokes is not None:
-        out |= radiance_figures(stokes[:, :, 0], target.stokes[:, :, 0], inside)
+        polarised = (stokes[inside][:, 1:], target.stokes[inside][:, 1:])
         out |= polarisation_figures(stokes, target.stokes, inside)
     elif frames.get("polarisation") == "polarisers":
-        angle = angles.get(frames.get("views", {}).get(view, {}).get("camera", ""), {}).get("angle_deg")
-        if angle is not None:
-            t = 2 * np.radians(angle)
-            seen = 0.5 * (stokes[:, :, 0] + stokes[:, :, 1] * np.cos(t) + stokes[:, :, 2] * np.sin(t))
-            figures = radiance_figures(seen, target.rgb, inside)
-            out |= {f"{name}_behind_polariser": value for name, value in figures.items()}
-    else:
-        out |= radiance_figures(stokes[:, :, 0], target.rgb, inside)
-    return out
+        angle = angles.get(facts.get("camera", ""), {}).get("angle_deg")
+        if angle is None:
+            return out
+        t = 2 * np.radians(angle)
+        seen, suffix = 0.5 * (seen + stokes[:, :, 1] * np.cos(t) + stokes[:, :, 2] * np.sin(t)), "_behind_polariser"
+    out |= {f"{name}{suffix}": value for name, value in radiance_figures(seen, target.rgb, inside).items()}
+    found = explained(seen[inside], target.rgb[inside], polarised, facts.get("noise") or 0.0)
+    named = {"likeness": found.likeness, "off": found.off, "polarisation_unexplained": found.polarisation}
+    return out | {name: value for name, value in named.items() if value is not None}
 
 
 def _material(table: Table, truth: Truth) -> None:
@@ -86,9 +97,9 @@ def _material(table: Table, truth: Truth) -> None:
 
 
 def _environment(table: Table, train: Path, truth: Truth) -> None:
-    path = truth.root / "gt" / "env.hdr"
-    if path.is_file() and (train / "env.exr").is_file():
-        table.figures |= environment_figures(read_image(train / "env.exr", RGB), read_image(path, RGB))
+    true, fitted = truth.environment, train / files.ENVIRONMENT
+    if true.is_file() and fitted.is_file():
+        table.figures |= environment_figures(read_image(fitted, RGB), read_image(true, RGB))
     table.missing(ENVIRONMENT, "the capture has no gt/env.hdr")
 
 

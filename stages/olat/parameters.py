@@ -20,8 +20,8 @@ class OlatParameters:
         default="closed",
         metadata={"help": "closed forms and Newton; gradient: Ma et al. 2007; others: general solvers on PRF's objectives"},
     )
-    lobe: Literal["auto", "ward", "beckmann", "printed", "printed-cosine"] = field(
-        default="auto", metadata={"help": "specular lobe; auto: Ward or Beckmann, whichever fits the capture better"}
+    lobe: Literal["auto", "ward", "beckmann", "ggx", "printed", "printed-cosine"] = field(
+        default="auto", metadata={"help": "specular lobe; auto: Ward, Beckmann or GGX, whichever fits the capture best"}
     )
     diffuse_fit: Literal["robust", "active-set"] = field(
         default="robust", metadata={"help": "robust: told from shadow and inter-reflection; active-set: PRF Eq. 12 as printed"}

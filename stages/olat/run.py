@@ -20,21 +20,24 @@ from pipeline.engine.stage import StageRun
 from pipeline.geometry.cameras import Camera
 from pipeline.rig.lobe_names import LOBES
 from pipeline.rig.solid_angles import solid_angles
+from stages.olat.evidence.after_fits import Verdict
+from stages.olat.evidence.before_fits import check_capture, check_rig
 from stages.olat.maps.footprint import with_neighbours
 from stages.olat.maps.map_files import MapWriter
 from stages.olat.maps.preview import write_preview
 from stages.olat.parameters import OlatParameters, every
 from stages.olat.pixel_fit.fit_options import SPECULAR_FITS, Settings
 from stages.olat.pixel_fit.many_pixels import fit, load, ready
-from stages.olat.pixel_fit.result_layout import FLAG, RESIDUAL, columns
+from stages.olat.pixel_fit.result_layout import FLAG, GOOD, RESIDUAL, columns
 from stages.olat.reading.frame_reader import Samples, ahead
 from stages.olat.reading.misregistration import WARN_PX, Drift
 from stages.olat.reading.rig_cameras import PILOT, CameraJob, decoded
 from stages.olat.reading.scanline_bands import Band, parts_of
 from stages.olat.reading.stream import Lanes, Piece
 
-FLAGS = ("good", "too few lights", "saturated", "black", "no lobe", "bad samples")
+CANDIDATES = ("ward", "beckmann", "ggx")  # lobes that `auto` chooses from
 PRIOR = (1 / np.radians(0.5)) ** 2  # n_s and n_d of one surface agree to about half a degree
+WIDTHS = {**dict.fromkeys(LOBES, "Beckmann/Ward widths"), "ggx": "GGX widths (alpha)"}  # what `sigma` is, for maps.json
 GAIN = 0.9
 MIXED = 1.0
 LEAST_LIGHT = 0.05
@@ -59,12 +62,14 @@ def run(stage: StageRun, lanes: Lanes) -> None:
         stage.progress.say("compiling the fits for this machine (once; about a minute)")
     load(half, parameters.precision)  # while the first band is read
     stage.note("kernels", f"numba {version('numba')}")  # it compiled them, but need not be loaded
+    check_rig(stage, rig, stage.capture.config.olat.near_light)
     pilot, lanes.pieces[0] = _pilot(lanes.pieces[0])
+    check_capture(stage, pilot, rig)
     settings = choose_lobe(stage, pilot, rig, settings)
     del pilot  # it may be a whole band
     lobe = next(name for name, value in LOBES.items() if value == settings.lobe)
     stage.note("lobe", lobe)
-    facts = {"schema": 1, "lobe": lobe, "sigma": "Beckmann/Ward widths", "roughness": "(sigma_x sigma_y)^(1/4)"}
+    facts = {"schema": 1, "lobe": lobe, "sigma": WIDTHS[lobe], "roughness": "(sigma_x sigma_y)^(1/4)"}
     (stage.output / "maps.json").write_text(json.dumps(facts, indent=1) + "\n")
     threads = max(1, (os.cpu_count() or 1) // len(lanes.jobs))
 
@@ -120,7 +125,7 @@ def settings_of(parameters: OlatParameters, config: Any, saturation: float) -> S
 
 
 def choose_lobe(stage: StageRun, pilot: list[Piece], rig: LightTable, settings: Settings) -> Settings:
-    """Where the lobe is `auto`: Ward's or Beckmann's, by which leaves the smaller residual on more of the pilot's pixels."""
+    """Where the lobe is `auto`: the one of `CANDIDATES` that leaves the smallest residual on most of the pilot's pixels."""
     parameters: OlatParameters = stage.parameters
     if parameters.lobe != "auto" or settings.gradient:
         return settings
@@ -136,12 +141,13 @@ def choose_lobe(stage: StageRun, pilot: list[Piece], rig: LightTable, settings: 
     def rows_of(name: str) -> NDArray[np.float64]:
         return fit(cross, parallel, view, rig, settings._replace(lobe=LOBES[name]), parameters.precision, points)[0]
 
-    found = {name: rows_of(name) for name in ("ward", "beckmann")}
-    sound = (found["ward"][:, FLAG] == 0) & (found["beckmann"][:, FLAG] == 0)
-    better = found["beckmann"][sound, RESIDUAL] < found["ward"][sound, RESIDUAL]
-    share = float(better.mean()) if sound.any() else 0.0
-    stage.note("lobe_pilot", {"pixels": int(sound.sum()), "beckmann_fits_better": round(share, 3)})
-    return settings._replace(lobe=LOBES["beckmann" if share > 0.5 else "ward"])
+    found = {name: rows_of(name) for name in CANDIDATES}
+    sound = np.all([rows[:, FLAG] == GOOD for rows in found.values()], 0)
+    residuals = np.stack([rows[sound, RESIDUAL] for rows in found.values()])
+    best = np.bincount(residuals.argmin(0), minlength=len(CANDIDATES)) if sound.any() else np.zeros(len(CANDIDATES), int)
+    count = max(int(sound.sum()), 1)
+    stage.note("lobe_pilot", {"pixels": int(sound.sum()), **{n: round(int(k) / count, 3) for n, k in zip(CANDIDATES, best)}})
+    return settings._replace(lobe=LOBES[CANDIDATES[int(best.argmax())]])
 
 
 @dataclass
@@ -174,7 +180,7 @@ def write_camera(stage: StageRun, job: CameraJob, parts: Iterator[Part], setting
     """Finish and write the maps of one camera from its parts."""
     parameters: OlatParameters = stage.parameters
     surface = parameters.widths == "surface"
-    counts, directed = np.zeros(len(FLAGS), int), 0
+    verdict, directed = Verdict(), 0
     drift: Drift | None = None
     with (
         stage.progress.bar(f"fitting {job.name}", int(job.mask.sum()), "px") as bar,
@@ -193,7 +199,7 @@ def write_camera(stage: StageRun, job: CameraJob, parts: Iterator[Part], setting
         for band, rows in with_neighbours(found(), job.camera.width, surface) if not settings.gradient else found():
             if parameters.albedo_over_occlusion:
                 divide_by_occlusion(rows)
-            counts += np.bincount(rows[:, FLAG].astype(int), minlength=len(FLAGS))
+            verdict.add(rows)
             directed += int(np.count_nonzero(rows[:, columns()["tangent"]].any(1)))
             writer.write(band, rows)
     with ThreadPoolExecutor(1) as pool:
@@ -207,7 +213,7 @@ def write_camera(stage: StageRun, job: CameraJob, parts: Iterator[Part], setting
             "specular maps will show edges there: align the frames before, or capture again with the object fixed"
         )
     stage.note(f"{job.name}.tangent_pixels", directed)
-    stage.note(f"{job.name}.flags", {name: int(n) for name, n in zip(FLAGS, counts) if n})
+    verdict.tell(stage, job.name)
 
 
 def say_shift(stage: StageRun, job: CameraJob, shift: tuple[int, int]) -> None:

@@ -53,7 +53,7 @@ def run(stage: StageRun) -> None:
 
 STAGE = Stage(
     name="olat",
-    version=5,
+    version=7,
     parameters=OlatParameters,
     needs=("decode", "masks"),
     needed=needed,

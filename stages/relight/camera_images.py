@@ -9,11 +9,12 @@ from numpy.typing import NDArray
 
 from pipeline.capture.naming.safe_names import environment_name
 from pipeline.engine.stage import StageRun
-from pipeline.formats.images import read_mask, srgb_encode, write_exr, write_png
+from pipeline.formats import dataset_files as files
+from pipeline.formats.images import RGB, read_mask, srgb_encode, write_exr, write_png
 from pipeline.geometry.cameras import camera_from_frame
 from pipeline.rig.relighting import relight_maps, relight_olat, relighting_error
 
-from .maps import RGB, read_map
+from .maps import read_map
 
 
 def relight_stage(run: StageRun) -> None:
@@ -34,14 +35,15 @@ def relight_stage(run: StageRun) -> None:
                 summed = relight_olat(
                     index, run.capture.root, name, radiance, mask,
                     irradiance=config.irradiance, specular_factor=config.specular_factor, up=up,
+                    decode_folder=index_path.parent,
                 )  # fmt: skip
-                _write(run, environment_name(path), f"{name}_olat", summed)
-                if "olat" in run.inputs:
+                _write(run, environment_name(path), name + files.SUMMED, summed)
+                if "olat" in run.inputs and (run.inputs["olat"] / name).is_dir():  # a camera that saw no object has no maps
                     shaded = relight_maps(run.inputs["olat"] / name, camera, radiance, up=up)
                     _write(run, environment_name(path), name, shaded)
                     inside = np.asarray(shaded.any(-1)) if mask is None else mask
                     error = relighting_error(summed, shaded, inside)
-                    write_exr(run.output / environment_name(path) / f"{name}_error.exr", {"Y": error})
+                    write_exr(files.relit(run.output / environment_name(path), name, files.ERROR), {"Y": error})
                     if inside.any():
                         run.note(
                             f"{environment_name(path)}.{name}.maps_error_median", round(float(np.median(error[inside])), 4)
@@ -51,11 +53,11 @@ def relight_stage(run: StageRun) -> None:
 
 def _mask(run: StageRun, name: str) -> NDArray[np.bool_] | None:
     folder = run.inputs.get("masks")
-    path = folder / f"{name}.png" if folder else None
+    path = files.mask(folder, name) if folder else None
     return read_mask(path) if path is not None and path.exists() else None
 
 
 def _write(run: StageRun, environment: str, name: str, image: NDArray[np.float32]) -> None:
-    write_exr(run.output / environment / f"{name}.exr", {c: image[..., k] for k, c in enumerate(RGB)})
+    write_exr(files.relit(run.output / environment, name), {c: image[..., k] for k, c in enumerate(RGB)})
     if run.parameters.previews:
         write_png(run.output / environment / f"{name}.png", srgb_encode(image))

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from pipeline.rig.latlong_lights import Y_UP_FROM
+from pipeline.geometry.world import Y_UP_FROM
 from pipeline.shading import LightField, Prefilter, latlong, shade
 
 

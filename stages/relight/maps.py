@@ -8,9 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import UserError
-from pipeline.formats.images import read_image
-
-RGB = ("R", "G", "B")
+from pipeline.formats.images import RGB, read_image
 
 
 def read_map(path: Path) -> tuple[NDArray[np.float32], list[str]]:

@@ -9,12 +9,12 @@ import torch
 from numpy.typing import NDArray
 
 from pipeline.geometry.occluder import Occluder, simplified
-from pipeline.rig.latlong_lights import Y_UP_FROM
+from pipeline.geometry.world import Y_UP_FROM
 from pipeline.shading import Occlusion
 from pipeline.shading.transfer import Attachment, SurfaceLight, Transfer
 
 from .deferred import Lamp, ShadingModel, Surface
-from .turntable import read_ply
+from .turntable import read_baked_mesh
 
 TRANSFER_TEXELS = 16  # along a cube face: shadows' edges are 6 degrees wide
 FACES = 20_000  # of the mesh that throws them
@@ -27,7 +27,7 @@ class SelfOcclusion:
     def __init__(self, mesh: Path, model: ShadingModel) -> None:
         from scipy.spatial import cKDTree
 
-        vertices, attributes, faces = read_ply(mesh)
+        vertices, attributes, faces = read_baked_mesh(mesh)
         self._turn = Y_UP_FROM[model.up]
         self._lobe = model.lobe
         coarse, triangles = simplified(vertices, faces, FACES)

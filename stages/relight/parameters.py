@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
+from pipeline.optics.model_names import Mirror
+
 
 @dataclass(frozen=True)
 class RelightParameters:
@@ -14,9 +16,9 @@ class RelightParameters:
     occlusion: Literal["auto", "on", "off"] = field(
         default="auto", metadata={"help": "shadows and one bounce from the mesh; auto: where training modelled them"}
     )
-    mirror: Literal["split", "lobe-4", "lobe-12", "lobe-24", "lobe-48"] = field(
-        default="lobe-24",
-        metadata={"help": "mirrored light: facets summed over the lobe, or the split sum, which blurs alike in all directions"},
+    mirror: Mirror = field(
+        default="tree",
+        metadata={"help": "mirrored light: the lobe summed over a tree of the map's texels, or over facets; or the split sum"},
     )
     shadow_rays: Literal["vertex", "pixel"] = field(
         default="vertex",

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from pipeline.capture import Capture
+from pipeline.capture.view_rules import too_few_views
 from pipeline.engine.stage import Decision, Stage, StageRun
 
 from .parameters import RelightParameters
 
-MIN_TRAINING_VIEWS = 8  # as the train stage: fewer have no model
-
 
 def needed(capture: Capture, parameters: RelightParameters) -> Decision:
     """Where there are maps, and something that can be lit."""
-    if capture.kind != "light_stage" and len(capture.views) < MIN_TRAINING_VIEWS:
-        return Decision(False, f"too few views for a model: {len(capture.views)}, at least {MIN_TRAINING_VIEWS} are needed")
+    if capture.kind != "light_stage" and (few := too_few_views(capture)):
+        return Decision(False, few)
     count = len(capture.environments)
     if not count:
         return Decision(False, "no environment maps: none in envmaps/, none in ENVS=")
@@ -37,7 +36,7 @@ def run(run: StageRun) -> None:
 
 STAGE = Stage(
     name="relight",
-    version=3,
+    version=4,
     parameters=RelightParameters,
     needs=("decode", "poses", "masks", "olat", "train", "mesh"),
     needed=needed,

@@ -9,9 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.engine.stage import StageRun
+from pipeline.formats.dataset_files import MESH, TURNTABLE
 from pipeline.formats.images import srgb_encode, write_png
+from pipeline.formats.ply import Ply
 from pipeline.geometry.cameras import Camera
-from pipeline.rig.latlong_lights import Y_UP_FROM
+from pipeline.geometry.rays import RayMesh
+from pipeline.geometry.world import Y_UP_FROM
 
 from .deferred import Lamp, Surface
 
@@ -24,44 +27,22 @@ class TexturedMesh:
     """The mesh with its vertex attributes, ready for rays."""
 
     def __init__(self, path: Path) -> None:
-        import open3d as o3d
-
-        vertices, self.attributes, self.faces = read_ply(path)
+        vertices, self.attributes, self.faces = read_baked_mesh(path)
         self.low, self.high = vertices.min(0), vertices.max(0)
-        self._tensor = o3d.core.Tensor
-        self._scene = o3d.t.geometry.RaycastingScene()
-        self._scene.add_triangles(self._tensor(vertices.astype(np.float32)), self._tensor(self.faces.astype(np.uint32)))
+        self._rays = RayMesh(vertices, self.faces)
 
     def hit(self, origin: NDArray, directions: NDArray, attributes: NDArray) -> tuple[NDArray[np.bool_], NDArray, NDArray]:
         """Rays from `origin` along `directions` [N, 3]: which hit, and position [M, 3], attributes [M, C] of those [V, C]."""
-        rays = np.concatenate([np.broadcast_to(origin, directions.shape), directions], -1).astype(np.float32)
-        answer = self._scene.cast_rays(self._tensor(rays))
-        distance = answer["t_hit"].numpy()
-        hit = np.isfinite(distance)
-        corner = self.faces[answer["primitive_ids"].numpy()[hit].astype(np.int64)]
-        u, v = answer["primitive_uvs"].numpy()[hit].T
-        share = np.stack([1 - u - v, u, v], -1)
-        values = np.einsum("nk,nkc->nc", share, attributes[corner])
-        return hit, origin + directions[hit] * distance[hit, None], values
+        found = self._rays.cast(origin, directions)
+        hit = found.hit
+        values = np.einsum("nk,nkc->nc", found.weights[hit], attributes[self.faces[found.triangle[hit]]])
+        return hit, origin + directions[hit] * found.distance[hit, None], values
 
 
-def read_ply(path: Path) -> tuple[NDArray, NDArray, NDArray]:
-    """Vertices [V, 3], attributes [V, 8] and faces [F, 3] of a mesh.ply of the mesh stage."""
-    data = path.read_bytes()
-    head, _, body = data.partition(b"end_header\n")
-    fields: list[tuple[str, str]] = []
-    counts: dict[str, int] = {}
-    for line in head.decode().splitlines():
-        words = line.split()
-        if words[0] == "element":
-            counts[words[1]] = int(words[2])
-        elif words[0] == "property" and words[1] != "list":
-            fields.append((words[2], {"float": "<f4", "uchar": "u1"}[words[1]]))
-    rows = np.frombuffer(body, np.dtype(fields), counts["vertex"])
-    triangle = np.dtype([("n", "u1"), ("v", "<i4", (3,))])
-    faces = np.frombuffer(body, triangle, counts["face"], offset=rows.nbytes)["v"].astype(np.int64)
-    position = np.stack([rows[c] for c in "xyz"], -1).astype(np.float64)
-    return position, np.stack([rows[n] for n in ATTRIBUTES], -1).astype(np.float64), faces
+def read_baked_mesh(path: Path) -> tuple[NDArray, NDArray, NDArray]:
+    """Vertices [V, 3], attributes [V, 8] and faces [F, 3] of a mesh.ply of the mesh stage. Raises UserError."""
+    ply = Ply(path)
+    return ply.vertices(), ply.vertices(ATTRIBUTES), ply.triangles()
 
 
 def orbit(cameras: dict[str, Camera], centre: NDArray, up: str, count: int, size: int) -> list[Camera]:
@@ -120,7 +101,7 @@ def write_turntable(
     if "mesh" not in run.inputs:
         run.warn("there is no mesh, so no turntable")
         return
-    mesh = TexturedMesh(run.inputs["mesh"] / "mesh.ply")
+    mesh = TexturedMesh(run.inputs["mesh"] / MESH)
     centre = (mesh.low + mesh.high) / 2
     p = run.parameters
     frames = []
@@ -130,4 +111,4 @@ def write_turntable(
             write_png(folder / "turntable" / f"{k:03d}.png", shown)
             frames.append(Image.fromarray(shown))
             bar.advance(1)
-    frames[0].save(folder / "turntable.webp", save_all=True, append_images=frames[1:], duration=FRAME_MS, loop=0, quality=85)
+    frames[0].save(folder / TURNTABLE, save_all=True, append_images=frames[1:], duration=FRAME_MS, loop=0, quality=85)

@@ -12,8 +12,10 @@ from numpy.typing import NDArray
 from pipeline.capture.naming.safe_names import environment_name
 from pipeline.engine.stage import StageRun
 from pipeline.errors import UserError
+from pipeline.formats import dataset_files as files
 from pipeline.formats.backdrop import grown
-from pipeline.formats.images import read_image, read_mask, srgb_encode, write_png, write_stokes
+from pipeline.formats.gbuffer import read_gbuffer
+from pipeline.formats.images import read_mask, srgb_encode, write_png, write_stokes
 from pipeline.geometry.cameras import Camera, load_cameras
 
 from .deferred import Lamp, ShadingModel, Surface
@@ -22,7 +24,6 @@ from .maps import read_map
 if TYPE_CHECKING:
     from .mesh_shadows import SelfOcclusion
 
-CHANNELS = ("depth", "alpha", "N.X", "N.Y", "N.Z", "albedo.R", "albedo.G", "albedo.B", "roughness", "ior")
 LEAST_ALPHA = 1 / 255  # below it nothing shows in any display
 
 
@@ -44,11 +45,10 @@ class ViewPixels:
 
 def read_view(path: Path, camera: Camera, mask: Path | None) -> ViewPixels:
     """A view's G-buffer as shaded pixels; outside the mask (and the pixel beside it, half covered) there are none."""
-    a = read_image(path, CHANNELS)
-    height, width = a.shape[:2]
-    if (camera.height, camera.width) != (height, width):
-        camera = camera.resized(width, height)
-    shown = (a[..., 1] > LEAST_ALPHA) & (np.linalg.norm(a[..., 2:5], axis=-1) > 0.5)
+    g = read_gbuffer(path)
+    height, width = g.alpha.shape
+    camera = camera.resized(width, height)
+    shown = (g.alpha > LEAST_ALPHA) & (np.linalg.norm(g.normal, axis=-1) > 0.5)
     if mask is not None and mask.exists():
         inside = read_mask(mask)
         if inside.shape == shown.shape:
@@ -57,10 +57,10 @@ def read_view(path: Path, camera: Camera, mask: Path | None) -> ViewPixels:
     rays = camera.rays()
     frame_x, frame_y = camera.stokes_frame()
     along = rays @ camera.world_to_camera[2, :3]  # z of a unit ray
-    position = camera.centre + rays * (a[..., 0] / along)[..., None]
-    flat = [v.reshape(-1, 3)[index] for v in (position, a[..., 2:5], -rays, frame_x, frame_y)]
-    surface = Surface(flat[0], flat[1], flat[2], a.reshape(-1, len(CHANNELS))[index, 5:10], flat[3], flat[4])
-    return ViewPixels((height, width), index, a[..., 1].ravel()[index], surface)
+    position = camera.centre + rays * (g.depth / along)[..., None]
+    images = (position, g.normal, -rays, g.material, frame_x, frame_y)
+    surface = Surface(*(v.reshape(-1, v.shape[-1])[index] for v in images))
+    return ViewPixels((height, width), index, g.alpha.ravel()[index], surface)
 
 
 def relight_views(run: StageRun) -> None:
@@ -70,24 +70,24 @@ def relight_views(run: StageRun) -> None:
     """
     p = run.parameters
     train = run.inputs["train"]
-    cameras = load_cameras(run.inputs["poses"] / "cameras.json")
-    paths = {v: train / "gbuffer" / f"{v}.exr" for v in sorted(cameras)}
+    cameras = load_cameras(run.inputs["poses"] / files.CAMERAS)
+    paths = {v: files.gbuffer(train, v) for v in sorted(cameras)}
     paths = {v: q for v, q in paths.items() if q.exists()}
     if not paths:
-        raise UserError(train / "gbuffer", "there are no G-buffers", "run the train stage again")
-    model = ShadingModel.read(train / "lighting.json", run.capture.up, p.mirror)
+        raise UserError(train / files.GBUFFERS, "there are no G-buffers", "run the train stage again")
+    model = ShadingModel.read(train / files.LIGHTING, run.capture.up, p.mirror)
     lamps = {environment_name(path): _lamp(run, path, model) for path in run.environments}
     occluder = _occluder(run, model)
     lit = {name: occluder.under(lamp) for name, lamp in lamps.items()} if occluder else {}
     masks = run.inputs.get("masks")
     with run.progress.bar("relighting", total=len(lamps) * len(paths), unit="images") as bar:
         for view, gbuffer in paths.items():
-            pixels = read_view(gbuffer, cameras[view], masks / f"{view}.png" if masks else None)
+            pixels = read_view(gbuffer, cameras[view], files.mask(masks, view) if masks else None)
             attachment = occluder.attach(pixels.surface, p.shadow_rays == "pixel") if occluder else None
             for name, lamp in lamps.items():
                 occlusion = occluder.at(attachment, lit[name]) if occluder and attachment else None
                 stokes = pixels.image(lamp.stokes(pixels.surface, occlusion))
-                write_stokes(run.output / name / f"{view}.exr", stokes)
+                write_stokes(files.relit(run.output / name, view), stokes)
                 if p.previews:
                     write_png(run.output / name / f"{view}.png", srgb_encode(stokes[:, :, 0]))
                 bar.advance(1)
@@ -117,4 +117,4 @@ def _occluder(run: StageRun, model: ShadingModel) -> SelfOcclusion | None:
     from .mesh_shadows import SelfOcclusion
 
     run.note("occlusion", {"run": True, "reason": "the object occludes itself: shadows and bounces from the mesh"})
-    return SelfOcclusion(mesh / "mesh.ply", model)
+    return SelfOcclusion(mesh / files.MESH, model)

@@ -10,7 +10,10 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from pipeline.formats.images import STOKES, write_exr, write_rgb
+from pipeline.formats.gbuffer import NORMAL, PARTS, SurfaceImage, channels_of
+from pipeline.formats.images import STOKES, write_rgb
+from pipeline.formats.ply import write_ply
+from pipeline.geometry.world_offset import ply_comment
 
 from .render_view import Rendered
 from .splats.gaussians import SplatModel, to_numpy
@@ -21,28 +24,25 @@ from .views.training_frame import SceneFrame
 SH_C0 = 0.28209479177387814  # zeroth spherical harmonic: viewers show 0.5 + SH_C0 * f_dc
 
 
-def gbuffer_channels(rendered: Rendered, view: View, frame: SceneFrame) -> dict[str, np.ndarray]:
-    """N, albedo, roughness, ior, alpha, depth images of a view (world axes and units), 0 where there is no object."""
+def surface_image(rendered: Rendered, view: View, frame: SceneFrame) -> SurfaceImage:
+    """Normal, material, opacity and depth images of a view (world axes and units), 0 where there is no object."""
     g = rendered.gbuffer
     height, width = view.size
     index = view.pixels.cpu().numpy()
-    alpha = g.alpha.cpu().numpy()
-    there = alpha > 1 / 255
+    there = g.alpha.cpu().numpy() > 1 / 255
 
     def image(values: np.ndarray) -> np.ndarray:
-        out = np.zeros((height * width, *values.shape[1:]), np.float32)
+        out = np.zeros((height * width, values.shape[-1]), np.float32)
         out[index[there]] = values[there]
-        return out.reshape(height, width, *values.shape[1:])
+        return out.reshape(height, width, -1)
 
-    normal = image(frame.directions_to_world(g.normal.cpu().numpy()))
-    albedo = image(g.albedo.cpu().numpy())
-    channels = {f"N.{c}": normal[..., k] for k, c in enumerate("XYZ")}
-    channels |= {f"albedo.{c}": albedo[..., k] for k, c in enumerate("RGB")}
-    channels["roughness"] = image(g.roughness.cpu().numpy())
-    channels["ior"] = image(g.ior.cpu().numpy())
-    channels["alpha"] = g.alpha_image.cpu().numpy()
-    channels["depth"] = g.raster.depth_median.cpu().numpy() * frame.scale
-    return {name: np.nan_to_num(np.asarray(values, np.float32)) for name, values in channels.items()}
+    material = np.concatenate([g.albedo.cpu().numpy(), g.roughness.cpu().numpy()[:, None], g.ior.cpu().numpy()[:, None]], -1)
+    return SurfaceImage(
+        normal=image(frame.directions_to_world(g.normal.cpu().numpy())),
+        material=image(material),
+        alpha=g.alpha_image.cpu().numpy(),
+        depth=np.asarray(g.raster.depth_median.cpu().numpy() * frame.scale, np.float32),
+    )
 
 
 def view_channels(rendered: Rendered, view: View, frame: SceneFrame) -> dict[str, np.ndarray]:
@@ -58,10 +58,10 @@ def view_channels(rendered: Rendered, view: View, frame: SceneFrame) -> dict[str
 
     stokes = image(rendered.stokes.reshape(len(index), 9))
     channels = {name: stokes[..., k] for k, name in enumerate(STOKES)}
-    for part, values in (("diffuse", rendered.shaded.diffuse), ("specular", rendered.shaded.specular)):
+    for part, values in zip(PARTS, (rendered.shaded.diffuse, rendered.shaded.specular)):
         rgb = image(values.cpu() * alpha)
         channels |= {f"{part}.{c}": rgb[..., k] for k, c in enumerate("RGB")}
-    return channels | gbuffer_channels(rendered, view, frame)
+    return channels | channels_of(surface_image(rendered, view, frame))
 
 
 def with_normals(
@@ -73,20 +73,17 @@ def with_normals(
     rows = view.pixels.cpu().numpy()[there]
     world = frame.directions_to_world(found[there])
     out = dict(channels)
-    for k, c in enumerate("XYZ"):
-        flat = channels[f"N.{c}"].reshape(-1).copy()
+    for k, name in enumerate(NORMAL):
+        flat = channels[name].reshape(-1).copy()
         flat[rows] = world[:, k]
-        out[f"N.{c}"] = flat.reshape(view.size)
+        out[name] = flat.reshape(view.size)
     return out
 
 
-def write_view(path: Path, channels: Mapping[str, np.ndarray]) -> None:
-    """One view's channels as float32 EXR."""
-    write_exr(path, channels)
-
-
-def write_gaussians(path: Path, model: SplatModel, frame: SceneFrame) -> None:
+def write_gaussians(path: Path, model: SplatModel, frame: SceneFrame, offset: np.ndarray | None = None) -> None:
     """gaussians.ply as 3DGS and 2DGS viewers read it: raw opacity (logit), log scales, wxyz quaternions; in the world.
+
+    `offset` [3] was taken from all world positions (`pipeline.geometry.world`): a comment tells it.
 
     A third, very small scale makes viewers that know only 3D Gaussians show discs.
     """
@@ -114,10 +111,7 @@ def write_gaussians(path: Path, model: SplatModel, frame: SceneFrame) -> None:
     for k, c in enumerate("rgb"):
         columns[f"albedo_{c}"] = values["albedo"][:, k]
     columns["ior"], columns["roughness"] = values["ior"], values["roughness"]
-    header = ["ply", "format binary_little_endian 1.0", f"element vertex {count}"]
-    header += [f"property float {name}" for name in columns] + ["end_header", ""]
-    table = np.stack([np.asarray(v, "<f4") for v in columns.values()], -1)
-    path.write_bytes("\n".join(header).encode() + np.ascontiguousarray(table).tobytes())
+    write_ply(path, columns, comments=ply_comment(offset))
 
 
 def _rotated(quaternions: np.ndarray, rotation: np.ndarray) -> np.ndarray:

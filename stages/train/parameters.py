@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from pipeline.capture.model import Polarisation
+from pipeline.optics.model_names import Distribution, Fresnel, Mirror
+
 
 def _p(default: Any, text: str) -> Any:
     return field(default=default, metadata={"help": text})
@@ -36,11 +39,12 @@ class TrainParameters:
     patience_db: float = _p(0.02, "smallest validation gain that counts (dB)")
     checkpoint_s: float = _p(20.0, "time between checkpoints (s)")
 
-    polarisation: Literal["auto", "stokes", "polarisers", "none"] = _p("auto", "which polarisation data to use")
-    fresnel: Literal["exact", "schlick"] = _p("exact", "Fresnel model of the radiance")
-    lobe: Literal["ggx", "beckmann"] = _p("beckmann", "microfacet distribution of the specular lobe")
-    mirror: Literal["split", "lobe-4", "lobe-12", "lobe-24"] = _p(
-        "lobe-12", "mirrored light: facets summed over the lobe, or the split sum (always with schlick)"
+    polarisation: Literal["auto", Polarisation] = _p("auto", "which polarisation data to use")
+    fresnel: Fresnel = field(default="exact", metadata={"help": "Fresnel model of the radiance"})
+    lobe: Distribution = field(default="beckmann", metadata={"help": "microfacet distribution of the specular lobe"})
+    mirror: Mirror = field(
+        default="lobe-12",
+        metadata={"help": "mirrored light: a sum over facets, over a tree of texels, or the split sum (always with schlick)"},
     )
     environment_resolution: int = _p(32, "texels along a side of the environment cube's faces (texels)")
     occlusion: bool = _p(True, "trace self-shadowing and one bounce where the object occludes itself")

@@ -19,7 +19,12 @@ import numpy as np
 import torch
 
 from pipeline.engine.progress import Bar
-from pipeline.geometry.lens import frames_folder
+from pipeline.formats import dataset_files as files
+from pipeline.formats.gbuffer import write_gbuffer
+from pipeline.formats.images import write_exr
+from pipeline.geometry.cameras import world_offset
+from pipeline.geometry.lens import frame_table, frames_folder
+from pipeline.report.explained import FEWEST, doubts, explained
 
 from . import checkpoint, export
 from .initialise.points import read_points
@@ -32,6 +37,9 @@ from .views.data import SourceView, View, load_sources, prepare
 
 if TYPE_CHECKING:
     from pipeline.engine.stage import StageRun
+
+
+OTHER_ANGLE_DEG = 10.0  # from a trusted angle: filters are set to a degree, and the model bends what it fits by a few
 
 
 @dataclass
@@ -54,7 +62,7 @@ def train(stage: StageRun) -> None:
     started = time.monotonic()
     inputs = stage.inputs
     sources, mode = load_sources(frames_folder(inputs), inputs["poses"], inputs.get("masks"), parameters.polarisation)
-    points = read_points(inputs["poses"] / "points.ply")
+    points = read_points(inputs["poses"] / files.POINTS)
     start = prepare_training(sources, mode, stage.capture.polarisers, stage.capture.up, parameters, stage.device, points)
     tell_start(start, stage)
     find_polarisers(start, sources, stage, points)
@@ -65,7 +73,8 @@ def train(stage: StageRun) -> None:
         finish_polarisers(trainer, stage)
     with torch.no_grad():
         write_results(trainer, start, sources, stage)
-    write_log(stage.output / "train_log.csv", history.rows)
+        say_what_is_unexplained(trainer, start, sources, stage)
+    write_log(stage.output / files.TRAIN_LOG, history.rows)
     stage.note("splats", len(trainer.scene.model))
     stage.note("iterations", trainer.iteration)
     stage.note("hollowed", [round(share, 4) for share in trainer.hollowed])
@@ -186,6 +195,14 @@ def finish_polarisers(trainer: Trainer, stage: StageRun) -> None:
     for name, fit in trainer.estimate_angles(0).items():
         k = bank.names.index(name)
         bank.std_deg[k] = 0.0 if bank.trusted[k] else float(np.degrees(fit.std))
+        if bank.trusted[k]:
+            told, found, std = (float(np.degrees(v)) for v in (bank.angles[k].detach(), fit.angle, fit.std))
+            apart = abs((found - told + 90) % 180 - 90)
+            if apart > max(OTHER_ANGLE_DEG, 4 * std):
+                stage.warn(
+                    f"polariser {name}: told {told % 180:.0f} degrees, but the pictures fit {found:.0f} ± {std:.0f}: check the "
+                    "angle and how it is counted (counter-clockwise from the image's x axis), or find it (trusted = false)"
+                )
     reason = bank.undetermined()
     if reason:
         stage.warn(f"the capture does not determine the polarisation: {reason}")
@@ -198,6 +215,32 @@ def whole_view(trainer: Trainer, start: Start, source: SourceView) -> tuple[View
     return view, trainer.render_whole(view)
 
 
+def say_what_is_unexplained(trainer: Trainer, start: Start, sources: list[SourceView], stage: StageRun) -> None:
+    """Hold the model against the test views; a line with the figure and the view where it is of the wrong kind."""
+    noise = {view: facts.get("noise") or 0.0 for view, facts in frame_table(stage.inputs).items()}
+    found = {}
+    for source in sources:
+        if source.split != "test":
+            continue
+        view = prepare(source, start.frame, False, str(trainer.scene.model["position"].device))
+        if len(view.pixels) < FEWEST:
+            continue
+        rendered = trainer.render_whole(view).stokes
+        model, target = rendered[:, 0], view.target[:, 0]
+        if trainer.mode == "polarisers" and trainer.scene.bank is not None:
+            model, target = trainer.scene.bank.intensity(rendered, view.camera.name), 2 * target
+        arrays = None
+        if trainer.mode == "stokes":
+            arrays = rendered[:, 1:].cpu().numpy(), view.target[:, 1:].cpu().numpy()
+        scale = start.frame.exposure * (2.0 if trainer.mode == "polarisers" else 1.0)
+        found[source.name] = explained(model.cpu().numpy(), target.cpu().numpy(), arrays, scale * noise.get(source.name, 0.0))
+    stage.note(
+        "explained", {view: {k: None if v is None else round(v, 4) for k, v in vars(f).items()} for view, f in found.items()}
+    )
+    for line in doubts(found):
+        stage.warn(line)
+
+
 def openings_share(trainer: Trainer) -> float:
     """Mean share of the object's pixels that look into an opening, over the training views."""
     return float(np.mean([view.openings for view in trainer.pyramids[0]]))
@@ -206,23 +249,23 @@ def openings_share(trainer: Trainer) -> float:
 def write_results(trainer: Trainer, start: Start, sources: list[SourceView], stage: StageRun) -> None:
     """Everything that dataset.md lists for this stage, except the log."""
     output, frame = stage.output, start.frame
-    (output / "test").mkdir(parents=True, exist_ok=True)
-    (output / "gbuffer").mkdir(parents=True, exist_ok=True)
+    (output / files.TESTS).mkdir(parents=True, exist_ok=True)
+    (output / files.GBUFFERS).mkdir(parents=True, exist_ok=True)
     openings = openings_share(trainer) > 0
     with stage.progress.bar("writing views", total=len(sources), unit="views") as bar:
         for source in sources:
             view, rendered = whole_view(trainer, start, source)
             channels = export.view_channels(rendered, view, frame)
-            kept = [name for name in channels if not name.startswith(("S", "diffuse", "specular"))]
-            export.write_view(output / "gbuffer" / f"{source.name}.exr", {name: channels[name] for name in kept})
+            write_gbuffer(files.gbuffer(output, source.name), channels)
             if source.split == "test":
                 normals = mean_normals(trainer.scene.model.activated(), view, trainer.backend, openings)
                 channels = export.with_normals(channels, normals, view, frame)
-                export.write_view(output / "test" / f"{source.name}.exr", channels)
+                write_exr(files.held_back_image(output, source.name), channels)
             bar.advance()
-    export.write_gaussians(output / "gaussians.ply", trainer.scene.model, frame)
-    export.write_environment(output / "env.exr", trainer.scene.environment.radiance(), frame)
-    export.write_polarisers(output / "polarisers.json", trainer.scene.bank)
+    offset = world_offset(stage.inputs["poses"] / files.CAMERAS)
+    export.write_gaussians(output / "gaussians.ply", trainer.scene.model, frame, offset)
+    export.write_environment(output / files.ENVIRONMENT, trainer.scene.environment.radiance(), frame)
+    export.write_polarisers(output / files.POLARISERS, trainer.scene.bank)
     facts = {
         "up": stage.capture.up,
         "fresnel": trainer.parameters.fresnel,
@@ -231,4 +274,4 @@ def write_results(trainer: Trainer, start: Start, sources: list[SourceView], sta
         "environment_resolution": trainer.parameters.environment_resolution,
         "occlusion": bool(trainer.scene.occlusion),
     }
-    export.write_lighting(output / "lighting.json", frame, facts)
+    export.write_lighting(output / files.LIGHTING, frame, facts)

@@ -20,6 +20,7 @@ from .parameters import TrainParameters
 from .splats.gaussians import SplatModel, logit
 from .trainer import Scene
 from .views.data import (
+    LEARNT,
     Mode,
     SourceView,
     View,
@@ -77,7 +78,7 @@ def prepare_training(
     `points` [N, 3]: the poses stage's sparse points, if any, in the capture's world. `cut`: cut openings out of the start.
     """
     sources = with_validation(sources, parameters.validation_every)
-    seen = [s for s in sources if s.split != "test"]
+    seen = [s for s in sources if s.split in LEARNT]
     masked = are_masks([s.mask for s in seen])
     black = background_is_black(seen)
     offset = edge_offset(seen) if black else 0.0
@@ -86,7 +87,7 @@ def prepare_training(
     hull, centre, half = begun.mesh, begun.centre, begun.half
     if begun.points and not masked:  # what the points' surface covers is the object
         sources = [replace(s, mask=outline(hull, s.camera)) for s in sources]
-        seen = [s for s in sources if s.split != "test"]
+        seen = [s for s in sources if s.split in LEARNT]
         black = background_is_black(seen)
     exposure = exposure_of(seen) * (1.0 if mode != "polarisers" else 0.5)
     frame = replace(SceneFrame.of(up, centre, half), exposure=exposure)
@@ -109,7 +110,7 @@ def prepare_training(
     levels = [sources]
     if parameters.coarse_fraction > 0:
         levels.append([halved(s) for s in sources])
-    pyramids = [[prepare(s, frame, black, device, openings) for s in level if s.split != "test"] for level in levels]
+    pyramids = [[prepare(s, frame, black, device, openings) for s in level if s.split in LEARNT] for level in levels]
     found = StartFacts(begun.points, begun.reason, masked)
     return Start(Scene(model, environment, bank, hull, closed), pyramids, frame, hull, black, pixel, found)
 

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 from pipeline.capture import Capture
+from pipeline.capture.view_rules import MIN_TRAINING_VIEWS
 from pipeline.engine.stage import Decision, Stage, StageRun
 
 from .parameters import TrainParameters
-
-FEWEST_VIEWS = 8  # the contract: training needs at least 8 views around the object
 
 
 def needed(capture: Capture, parameters: TrainParameters) -> Decision:
     """Several views of one object; passes that the data do not need are left out."""
     if capture.kind != "multiview":
         return Decision(False, "a light stage of fixed cameras: nothing to train on")
-    if len(capture.views) < FEWEST_VIEWS:
-        return Decision(False, f"only {len(capture.views)} views; training needs {FEWEST_VIEWS} around the object")
+    if len(capture.views) < MIN_TRAINING_VIEWS:
+        return Decision(False, f"only {len(capture.views)} views; training needs {MIN_TRAINING_VIEWS} around the object")
     mode = capture.polarisation if parameters.polarisation == "auto" else parameters.polarisation
 
     def told(name: str) -> str:

@@ -333,8 +333,11 @@ class Trainer:
 
     @torch.no_grad()
     def validate(self) -> float:
-        """Mean sRGB PSNR (dB) inside the mask of the validation views (of the training views where none are held back)."""
-        showing = [v for v in self.pyramids[0] if v.inside.any()]
+        """Mean sRGB PSNR (dB) inside the mask of the validation views (of the training views where none are held back).
+
+        NaN where no view shows anything.
+        """
+        showing = [v for v in self.pyramids[0] if v.inside.any()] or [v for v in self.pyramids[0] if len(v.pixels)]
         views = [v for v in showing if v.split == "validation"]
         views = views or [v for v in showing if v.split == "train"][:2]
         light = self.light()
@@ -344,8 +347,9 @@ class Trainer:
             predicted, target = rendered.stokes[:, 0], view.target[:, 0]
             if self.mode == "polarisers" and self.scene.bank is not None:
                 predicted, target = self.scene.bank.intensity(rendered.stokes, view.camera.name), 2 * target
-            values.append(psnr(predicted[view.inside], target[view.inside], self.frame.exposure))
-        return sum(values) / len(values)
+            inside = view.inside if view.inside.any() else torch.ones_like(view.inside)  # an object nowhere two pixels wide
+            values.append(psnr(predicted[inside], target[inside], self.frame.exposure))
+        return sum(values) / len(values) if values else float("nan")
 
     @torch.no_grad()
     def estimate_angles(self, level: int) -> dict[str, AngleFit]:

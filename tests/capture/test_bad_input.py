@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from pipeline.capture import open_capture
+from pipeline.capture.config import load_config
 from pipeline.errors import UserError
 from pipeline.formats.images import write_exr, write_mask, write_png, write_stokes
 
@@ -193,3 +194,54 @@ def test_pictures_that_nobody_reads_are_named_beside_those_that_are_read(tmp_pat
     (tmp_path / "images" / "A001.R3D").write_bytes(b"RED2")
     (line,) = open_capture(tmp_path).warnings
     assert "A001.R3D" in line and "EXR" in line
+
+
+NAN_AND_INF = [
+    "olat.irradiance", "olat.specular_factor", "stokes.rotate_deg", "stokes.scale", "unit_m", "radiometry.white_level",
+    "radiometry.black_level", "radiometry.saturation", "stack.zero_deg", "poses.focal_px", "poses.marker_length",
+    "polarisers.a.angle_deg", "stack.angles_deg._a", "radiometry.exposure_s.a",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("key", [*NAN_AND_INF, "radiometry.white_balance[]", "mosaic.order[]"])
+@pytest.mark.parametrize("value", ["nan", "inf", "-inf"])
+def test_settings_that_are_not_finite_are_refused(tmp_path, key, value):
+    name, is_list = key.removesuffix("[]"), key.endswith("[]")
+    (tmp_path / "capture.toml").write_text(f"{name} = [1.0, {value}, 2.0]\n" if is_list else f"{name} = {value}\n")
+    with pytest.raises(UserError, match=rf"capture\.toml: {name.replace('.', '[.]')}.* = -?(nan|inf) is not .*number"):
+        load_config(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("line", "word"),
+    [("raw.width = 0", "raw.width"), ("raw.height = 2.5", "raw.height"), ("raw.width = true", "raw.width"),
+     ("radiometry = { black_level = 64, white_level = 64 }", "radiometry.white_level"),
+     ("olat.specular_factor = 0", "specular_factor"),
+     ("olat.irradiance = 1" + "0" * 400, "olat.irradiance")],
+)  # fmt: skip
+def test_settings_without_meaning_are_refused(tmp_path, line, word):
+    (tmp_path / "capture.toml").write_text(line + "\n")
+    with pytest.raises(UserError, match=rf"capture\.toml: .*{word}"):
+        load_config(tmp_path)
+
+
+def test_an_ideal_polariser_may_have_infinite_extinction(tmp_path):
+    (tmp_path / "capture.toml").write_text("polarisers.a.extinction = inf\n")
+    assert load_config(tmp_path).polarisers["a"].extinction == float("inf")
+
+
+def test_radiometry_that_a_layout_does_not_use_is_refused(tmp_path, scene, write):
+    write.smvp3d(tmp_path, scene)
+    (tmp_path / "capture.toml").write_text("radiometry.black_level = 64\n")
+    with pytest.raises(UserError, match=r"capture\.toml: radiometry\.black_level is not used"):
+        open_capture(tmp_path)
+    (tmp_path / "capture.toml").write_text("")
+    assert open_capture(tmp_path).layout == "smvp3d"
+
+
+@pytest.mark.parametrize("key", ["dark_frame", "flat_field"])
+def test_reference_frames_that_are_not_there_are_named(tmp_path, scene, write, key):
+    write.angle_stack(tmp_path, scene)
+    (tmp_path / "capture.toml").write_text(f'radiometry.{key} = "nowhere.tif"\n')
+    with pytest.raises(UserError, match=rf"capture\.toml: radiometry\.{key} = 'nowhere\.tif' is not there"):
+        open_capture(tmp_path)

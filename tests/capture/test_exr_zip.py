@@ -68,3 +68,34 @@ def test_damage_anywhere_is_one_line_or_openimageios_own_word(tmp_path):
             read_linear(path, RadiometryConfig())
         except UserError as fault:
             assert "\n" not in str(fault)
+
+
+def test_rows_stored_from_the_bottom_up_are_read(tmp_path):
+    path = tmp_path / "a.exr"
+    spec = oiio.ImageSpec(53, 37, 9, "half")
+    spec.channelnames = STOKES
+    spec.attribute("compression", "zip")
+    spec.attribute("openexr:lineOrder", "decreasingY")
+    out = oiio.ImageOutput.create(str(path))
+    pixels = np.ascontiguousarray(scene())
+    assert out.open(str(path), spec) and out.write_image(pixels) and out.close()
+    reader = open_zip_exr(path)
+    assert reader is not None
+    reader.file.close()
+    np.testing.assert_array_equal(read_linear(path, RadiometryConfig()).pixels, read_image(path))
+
+
+def test_a_chunk_that_lies_far_from_the_others_is_read(tmp_path):
+    path = write(tmp_path / "a.exr", scene())
+    wanted = read_image(path)
+    reader = open_zip_exr(path)
+    reader.file.close()
+    data = bytearray(path.read_bytes())
+    table = len(reader.layout.header)
+    first = int.from_bytes(data[table : table + 8], "little")
+    size = 8 + int.from_bytes(data[first + 4 : first + 8], "little")
+    moved = len(data) + 1_000_000
+    chunk = data[first : first + size]
+    data[table : table + 8] = moved.to_bytes(8, "little")
+    path.write_bytes(data + bytes(1_000_000) + chunk)
+    np.testing.assert_array_equal(read_linear(path, RadiometryConfig()).pixels, wanted)

@@ -54,6 +54,9 @@ def test_two_colmap_folders_are_two_polarisers_in_one_world(scene, write, tmp_pa
     pose = capture.cameras["lp1_0002"]
     np.testing.assert_allclose(pose.world_to_camera, scene.cameras["0002"].world_to_camera, atol=1e-9)
     assert pose.name == "lp1"
+    (tmp_path / "capture.toml").write_text("[radiometry]\nexposure_s = { lp1_0002 = 0.5 }\n")
+    twice = open_capture(tmp_path).view("lp1_0002").read().rgb
+    np.testing.assert_allclose(twice, 2 * scene.intensity("0002", 100.0), atol=1e-6)
 
 
 def test_an_unknown_folder_is_told_what_was_looked_for_and_found(tmp_path):

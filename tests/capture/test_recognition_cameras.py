@@ -2,6 +2,7 @@
 
 import shutil
 import struct
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -156,8 +157,34 @@ def test_metashape_with_a_term_that_is_not_read_is_refused(views, tmp_path):
     images(tmp_path, views)
     metashape(tmp_path, views)
     path = tmp_path / "cameras.xml"
+    path.write_text(path.read_text().replace("<p1>", "<k4>9</k4><p1>"))
+    with pytest.raises(UserError, match=r"cameras\.xml: its lens has k4"):
+        open_capture(tmp_path)
+
+
+def test_metashape_with_a_third_radial_term(views, tmp_path):
+    images(tmp_path, views)
+    metashape(tmp_path, views, distortion=(0.1, -0.02, 3e-3, 1e-3))
+    path = tmp_path / "cameras.xml"
     path.write_text(path.read_text().replace("<p1>", "<k3>0.9</k3><p1>"))
-    with pytest.raises(UserError, match=r"cameras\.xml: its lens has k3"):
+    camera = open_capture(tmp_path).cameras["000"]
+    assert (camera.lens, camera.distortion) == ("FULL_OPENCV", (0.1, -0.02, 1e-3, 3e-3, 0.9, 0.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize("program", WRITERS)
+def test_what_can_be_no_camera_is_refused_on_its_own_file(views, tmp_path, program):
+    images(tmp_path, views)
+    WRITERS[program](tmp_path, [(replace(c, fx=0.1, fy=0.1), p) for c, p in views])
+    with pytest.raises(UserError, match=r"\.(xml|txt|out|npy|npz): (image .*000|camera 0|world_mat_0).* not pixels of a 48x48"):
+        open_capture(tmp_path)
+
+
+@pytest.mark.parametrize("program", [p for p in WRITERS if p != "neus"])
+def test_a_pose_that_is_no_rotation_is_refused_on_its_own_file(views, tmp_path, program):
+    images(tmp_path, views)
+    squeeze = np.diag([1.2, 1, 1, 1])
+    WRITERS[program](tmp_path, [(replace(c, world_to_camera=squeeze @ c.world_to_camera), p) for c, p in views])
+    with pytest.raises(UserError, match=r"\.(xml|txt|out|npy): (image .*000|camera 0).*no rotation"):
         open_capture(tmp_path)
 
 

@@ -202,7 +202,7 @@ def test_resource_files_of_macos_are_left_out_everywhere(scene, write, tmp_path)
 
 
 @pytest.mark.parametrize(
-    "name", ["images/{}.tga", "images/{}.webp", "images/{}.bin", "images/{}.jp2", "{}.webp", "images/{}.mat"]
+    "name", ["images/{}.psd", "images/{}.avif", "images/{}.bin", "images/{}.jp2", "{}.avif", "images/{}.mat"]
 )
 def test_pictures_that_nobody_reads_are_named_in_one_line(name, tmp_path):
     for i in range(3):

@@ -109,8 +109,8 @@ def test_frames_that_are_not_read_are_named(tmp_path):
     for which in ("cross", "parallel"):
         (tmp_path / "cam00" / which).mkdir(parents=True)
         for k in range(3):
-            (tmp_path / "cam00" / which / f"{k}.CR2").write_bytes(b"x")
-    with pytest.raises(UserError, match=r"holds no frame that is read, but 3 \.cr2 files"):
+            (tmp_path / "cam00" / which / f"{k}.MAT").write_bytes(b"x")
+    with pytest.raises(UserError, match=r"holds no frame that is read, but 3 \.mat files"):
         open_capture(tmp_path)
 
 

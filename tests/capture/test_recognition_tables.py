@@ -91,7 +91,11 @@ def test_tables_that_match_nothing_are_named(root, toml, words):
 
 
 @pytest.mark.parametrize(
-    "toml", ["[radiometry]\nexposure_s = { v0_a = 0.1, v1_b = 0.2 }\n", '[poses]\nscale_pair = ["v0_a", "v1_a"]\n']
+    "toml",
+    [
+        "[radiometry]\nexposure_s = { v0_a = 0.1, v1_b = 0.2 }\n",
+        '[poses]\nscale_pair = ["v0_a", "v1_a"]\nscale_distance = 1\n',
+    ],
 )
 def test_tables_that_match_are_taken(root, toml):
     (root / "capture.toml").write_text(toml)

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.formats.images import read_stokes, write_mask, write_stokes
+from pipeline.formats.images import read_exr, read_mask, read_stokes, write_exr, write_mask, write_png, write_stokes
 
 from .conftest import ROOT, Outcome, polarfield
 
@@ -95,9 +95,34 @@ def test_mask_of_another_size_is_named(views):
     assert_refused(run(views), "002.png", root=views.parent / "out")
 
 
-def test_black_mask_is_named(views):
+def test_black_masks_are_left_out_and_told_and_all_black_ones_refused(views):
     write_mask(views / "masks" / "002.png", np.zeros((64, 64), bool))
-    assert_refused(run(views), "002.png", root=views.parent / "out")
+    outcome = run(views)
+    assert outcome.status == 0 and "the mask is empty in 1 view (002)" in outcome.err + outcome.out
+    for path in (views / "masks").iterdir():
+        write_mask(path, np.zeros((64, 64), bool))
+    assert_refused(run(views), "every mask is empty", root=views.parent / "out")
+
+
+def test_white_masks_and_masks_of_ones_are_told(views):
+    for path in sorted((views / "masks").iterdir())[:3]:
+        write_mask(path, np.ones((64, 64), bool))
+    for path in sorted((views / "masks").iterdir())[3:6]:
+        write_png(path, read_mask(path).astype(np.uint8))
+    outcome = run(views)
+    told = outcome.err + outcome.out
+    assert outcome.status == 0 and "3 masks white all over" in told and "its values are 0, 1" in told
+    coverage = [
+        v["coverage"] for v in json.loads((views.parent / "out/masks/current/masks.json").read_text())["views"].values()
+    ]
+    assert max(coverage) < 0.6 and min(coverage) > 0.02
+
+
+def test_black_and_negative_captures_are_refused(views):
+    for path in sorted((views / "images").iterdir()):
+        image = read_exr(path)
+        write_exr(path, {name: -np.abs(values) for name, values in image.items()})
+    assert_refused(run(views, "decode"), "000.exr", "black or below 0", root=views.parent / "out")
 
 
 def test_one_view_gives_what_one_view_can(views):

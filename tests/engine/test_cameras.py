@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from pipeline.errors import UserError
 from pipeline.geometry.cameras import Camera, camera_from_opengl, load_cameras, opengl_from_camera, save_cameras
+from pipeline.geometry.lens_models import MODELS
 
 
 def looking_at_origin(roll_deg: float = 0.0) -> Camera:
@@ -36,6 +38,22 @@ def test_opengl_matrices_round_trip_and_files_keep_cameras(tmp_path):
     back = load_cameras(tmp_path / "cameras.json")["view"]
     np.testing.assert_allclose(back.world_to_camera, camera.world_to_camera, atol=1e-12)
     assert back.name == "lp0" and back.intrinsics.tolist() == camera.intrinsics.tolist()
+
+
+@pytest.mark.parametrize("lens", sorted(MODELS))
+def test_files_keep_every_coefficient_of_every_lens(tmp_path, lens):
+    names = MODELS[lens].names
+    coefficients = tuple(0.01 * (k + 1) for k in range(len(names)))
+    camera = replace(looking_at_origin(), lens=lens, distortion=coefficients)
+    if lens == "EQUIRECTANGULAR":
+        camera = replace(camera, fx=60 / (2 * np.pi), fy=40 / np.pi)
+    if lens == "OPENCV":
+        camera = replace(camera, distortion=(0.1, 0.0, 0.0, 0.2))
+    save_cameras(tmp_path / "cameras.json", {"a": camera})
+    back = load_cameras(tmp_path / "cameras.json")["a"]
+    assert (back.lens, back.distortion) == (lens, camera.distortion)
+    seen = back.rays_at(np.array([[30.0, 20.0], [35.0, 17.0]]))
+    np.testing.assert_allclose(camera.pixels_of(seen), [[30, 20], [35, 17]], atol=1e-8)
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from pipeline.errors import UserError
+from pipeline.formats.ply import write_ply
 
 
 def iou(a, b):
@@ -126,9 +127,7 @@ def test_sam_is_prompted_by_the_sparse_model(views, tmp_path, monkeypatch, promp
     direction = rng.normal(size=(300, 3))
     cloud = 0.55 * direction / np.linalg.norm(direction, axis=-1, keepdims=True)  # on the largest sphere of the object
     cloud[:9] = rng.normal(size=(9, 3)) * 40  # background
-    points = np.zeros(len(cloud), [("xyz", "<f4", 3), ("rgb", "u1", 3)])
-    points["xyz"] = cloud
-    (tmp_path / "points.ply").write_bytes(b"ply\nend_header\n" + points.tobytes())
+    write_ply(tmp_path / "points.ply", dict(zip("xyz", cloud.T)))
     asked = {}
 
     def segment(model, image, points, box):

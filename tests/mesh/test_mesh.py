@@ -9,14 +9,14 @@ from pipeline.engine.progress import Progress
 from pipeline.engine.stage import StageRun
 from pipeline.errors import UserError
 from pipeline.formats.images import write_exr
+from pipeline.formats.ply import write_ply
 from pipeline.geometry.cameras import save_cameras
 from stages.mesh.attributes import bake, vertex_table
 from stages.mesh.clean import Mesh, boundary_loops, fill_holes, in_fixed_order, largest_pieces, without_slivers
 from stages.mesh.fusion import Volume, measure
 from stages.mesh.outline import outline_gap, outline_length
 from stages.mesh.parameters import MeshParameters
-from stages.mesh.ply import write_ply
-from stages.relight.turntable import read_ply
+from stages.relight.turntable import read_baked_mesh
 
 
 def fuse(views) -> Mesh:
@@ -121,7 +121,7 @@ def test_ply_is_read_by_open3d_with_its_colours(sphere_views, tmp_path):
 
     views = sphere_views(1.0, count=8, size=40)
     mesh, _ = bake(fuse(views), views, 0.2)
-    write_ply(tmp_path / "mesh.ply", *vertex_table(mesh), mesh.faces)
+    write_ply(tmp_path / "mesh.ply", vertex_table(mesh), mesh.faces)
     back = o3d.io.read_triangle_mesh(str(tmp_path / "mesh.ply"))
     assert len(back.triangles) == len(mesh.faces)
     assert np.allclose(np.asarray(back.vertices), mesh.vertices, atol=1e-6)
@@ -157,7 +157,7 @@ def run_stage(sphere_views, tmp_path):
 def test_stage_writes_tsdf_and_poisson_meshes(sphere_views, run_stage):
     run = run_stage(sphere_views(1.0), poisson=True, poisson_depth=5)
     assert (run.output / "mesh.ply").exists()
-    _, _, faces = read_ply(run.output / "mesh_poisson.ply")
+    _, _, faces = read_baked_mesh(run.output / "mesh_poisson.ply")
     edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
     assert (np.unique(edges, axis=0, return_counts=True)[1] == 2).all()  # closed
     assert run.facts["size"] == pytest.approx(2.0, rel=0.03)

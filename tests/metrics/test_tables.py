@@ -7,10 +7,11 @@ import json
 import numpy as np
 import pytest
 
+from pipeline.formats.gbuffer import CHANNELS, SurfaceImage, channels_of
+from pipeline.formats.ground_truth import Truth
 from pipeline.formats.images import write_exr, write_png, write_rgb, write_stokes
 from stages.metrics.olat_figures import olat_table
 from stages.metrics.train_figures import train_table
-from stages.metrics.truth import Truth
 from synth.environments import meadow
 
 SIZE = 24
@@ -27,8 +28,8 @@ def scene(tmp_path):
     s0 = (0.2 + 0.5 * rng.random((SIZE, SIZE, 3))) * inside[..., None]
     stokes = np.stack([s0, 0.2 * s0, 0.1 * s0], 2).astype(np.float32)
     channels = {f"S{k}.{c}": stokes[:, :, k, i] for k in range(3) for i, c in enumerate("RGB")}
-    channels |= {f"N.{c}": normal[..., k] for k, c in enumerate("XYZ")}
-    channels |= {"alpha": inside * 1.0, "ior": inside * 1.5, "roughness": inside * 0.4}
+    material = np.concatenate([0.3 * inside[..., None] * [1, 1, 1], inside[..., None] * [0.4, 1.5]], -1)
+    channels |= channels_of(SurfaceImage(normal.astype(np.float32), material, inside * 1.0, inside * 3.0))
     capture = tmp_path / "capture"
     write_exr(tmp_path / "train" / "test" / "a.exr", channels)
     write_rgb(tmp_path / "train" / "env.exr", meadow(32))
@@ -92,7 +93,7 @@ def test_rim_outside_the_mask_counts_on_a_black_backdrop(scene):
     cut = stokes * smaller[..., None, None]  # a model that lacks the rim is told so
     write_exr(root / "train" / "test" / "a.exr", {
         **{f"S{k}.{c}": cut[:, :, k, i] for k in range(3) for i, c in enumerate("RGB")},
-        **{k: inside * 1.0 for k in ("N.X", "N.Y", "N.Z", "alpha", "ior", "roughness")},
+        **{k: inside * 1.0 for k in CHANNELS},
     })  # fmt: skip
     assert table_of(root, capture, {"polarisation": "stokes"}).figures["psnr_srgb"] < 40
 
@@ -129,7 +130,7 @@ def test_light_stage_normals_and_albedo_against_their_maps(tmp_path):
     truth.mkdir(parents=True)
     np.savez(truth / "maps.npz", normal=normal, mask=mask, albedo=albedo, dp_du=np.roll(normal, 1, -1))
     (tmp_path / "capture" / "gt_brdf.json").write_text(json.dumps({"sigma": [0.3, 0.3]}))
-    out = olat_table(tmp_path / "olat", tmp_path / "capture").as_json()
+    out = olat_table(tmp_path / "olat", Truth(tmp_path / "capture", ())).as_json()
     camera = out["cam00"]
     assert camera["diffuse_normal"]["median"] == pytest.approx(3, abs=1e-3)
     assert camera["specular_normal"]["p90"] == pytest.approx(180, abs=1e-3)
@@ -137,6 +138,6 @@ def test_light_stage_normals_and_albedo_against_their_maps(tmp_path):
     assert camera["sigma_rel_error"] == pytest.approx([0.1, 0.0], abs=1e-5)
     assert out["views"][0]["normal_median_deg"] == pytest.approx(0, abs=1e-4)
     (truth / "maps.npz").unlink()
-    blind = olat_table(tmp_path / "olat", tmp_path / "capture").as_json()["cam00"]
+    blind = olat_table(tmp_path / "olat", Truth(tmp_path / "capture", ())).as_json()["cam00"]
     assert blind["normal"] is None and "maps.npz" in blind["why"]["normal"]
     assert blind["residual_median"] == pytest.approx(0.02, abs=1e-5)

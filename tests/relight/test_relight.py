@@ -14,7 +14,8 @@ from pipeline.engine.stage import StageRun
 from pipeline.errors import UserError
 from pipeline.formats.images import read_image, read_stokes, write_exr, write_mask, write_rgb
 from pipeline.geometry.cameras import Camera, camera_from_opengl, save_cameras
-from pipeline.rig.latlong_lights import Y_UP_FROM
+from pipeline.geometry.rays import RayMesh
+from pipeline.geometry.world import Y_UP_FROM
 from stages.relight.maps import read_map
 from stages.relight.parameters import RelightParameters
 from stages.relight.stage import needed
@@ -28,20 +29,12 @@ SIZE = 40
 
 def gbuffer(camera: Camera, mesh) -> dict[str, np.ndarray]:
     """The vase as a G-buffer, by ray casting."""
-    import open3d as o3d
-
     vertices, faces, normals = mesh
-    scene = o3d.t.geometry.RaycastingScene()
-    scene.add_triangles(o3d.core.Tensor(vertices.astype(np.float32)), o3d.core.Tensor(faces.astype(np.uint32)))
     rays = camera.rays().reshape(-1, 3)
-    both = np.concatenate([np.broadcast_to(camera.centre, rays.shape), rays], 1).astype(np.float32)
-    answer = scene.cast_rays(o3d.core.Tensor(both))
-    t = answer["t_hit"].numpy()
-    hit = np.isfinite(t)
-    u, v = answer["primitive_uvs"].numpy()[hit].T
-    corner = normals[faces[answer["primitive_ids"].numpy()[hit]]]
+    found = RayMesh(vertices, faces).cast(camera.centre, rays)
+    t, hit = found.distance, found.hit
     n = np.zeros((len(rays), 3))
-    n[hit] = np.einsum("nk,nkc->nc", np.stack([1 - u - v, u, v], -1), corner)
+    n[hit] = np.einsum("nk,nkc->nc", found.weights[hit], normals[faces[found.triangle[hit]]])
     n[hit] /= np.linalg.norm(n[hit], axis=1, keepdims=True)
     depth = np.where(hit, t, 0) * (rays @ camera.world_to_camera[2, :3])
     flat = {f"N.{c}": n[:, k] for k, c in enumerate("XYZ")}
@@ -95,14 +88,14 @@ def relit(tmp_path):
 
 
 def _write_mesh(folder, mesh) -> None:
+    from pipeline.formats.ply import write_ply
     from stages.mesh.attributes import vertex_table
     from stages.mesh.clean import Mesh
-    from stages.mesh.ply import write_ply
 
     material = np.tile(np.array([0.7, 0.3, 0.1, 0.4, 1.5], np.float32), (len(mesh[0]), 1))
     whole = Mesh(mesh[0], mesh[1], {"normal": mesh[2].astype(np.float32), "material": material})
     folder.mkdir()
-    write_ply(folder / "mesh.ply", *vertex_table(whole), mesh[1])
+    write_ply(folder / "mesh.ply", vertex_table(whole), mesh[1])
 
 
 def test_every_view_is_lit_and_black_outside_the_object(relit):

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from pipeline.formats.ply import write_ply
 from pipeline.geometry.occluder import tangent_frames
 from pipeline.optics import fresnel
 from pipeline.optics.sphere import hemisphere_rule
 from pipeline.shading.prefilter_kernels import REFERENCE_IOR
 from stages.mesh.attributes import vertex_table
 from stages.mesh.clean import Mesh
-from stages.mesh.ply import write_ply
 from stages.relight.deferred import Lamp, ShadingModel, Surface
 from stages.relight.mesh_shadows import SelfOcclusion
 from synth.shape import vase
@@ -67,7 +67,7 @@ def test_shadows_of_a_concave_shape_are_those_of_brute_force(bowl, tmp_path, own
 
     material = np.tile(np.array([0.7, 0.3, 0.1, 0.4, 1.5], np.float32), (len(shape.vertices), 1))
     whole = Mesh(shape.vertices, shape.faces, {"normal": shape.normals.astype(np.float32), "material": material})
-    write_ply(tmp_path / "mesh.ply", *vertex_table(whole), shape.faces)
+    write_ply(tmp_path / "mesh.ply", vertex_table(whole), shape.faces)
     model = ShadingModel()
     occluder = SelfOcclusion(tmp_path / "mesh.ply", model)
     n = shape.normals[chosen]

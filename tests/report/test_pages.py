@@ -8,10 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pipeline.capture import Capture
+from pipeline.geometry.axes import nearest_to_lines
 from pipeline.geometry.cameras import Camera, camera_from_opengl
 from pipeline.report import pictures
 from pipeline.report.curves import line_chart, nice_ticks
-from pipeline.report.inspect import nearest_to_axes
+from pipeline.report.inspect import scene_of
 from pipeline.report.render import render
 from stages.metrics import report
 from stages.metrics.report.figures import headlines, tables, text_of
@@ -103,6 +105,15 @@ def test_viewing_axes_meet_at_the_object():
     ]
     centres = np.stack([c.centre for c in cameras])
     axes = np.stack([c.world_to_camera[2, :3] for c in cameras])
-    assert nearest_to_axes(centres, axes) == pytest.approx(target, abs=1e-9)
-    parallel = np.broadcast_to([0.0, 0, 1], axes.shape)
-    assert nearest_to_axes(centres, parallel) == pytest.approx(centres.mean(0))
+    assert nearest_to_lines(centres, axes) == pytest.approx(target, abs=1e-9)
+
+
+def test_cameras_that_all_look_one_way_are_drawn_about_their_middle():
+    cameras = {}
+    for k in range(3):
+        pose = np.eye(4)
+        pose[0, 3] = -2.0 * k
+        cameras[f"v{k}"] = Camera(8, 8, 9.0, 9.0, 4.0, 4.0, pose)
+    drawn = scene_of(Capture(Path("row"), "numbers", "multiview", "none", cameras=cameras))
+    assert [c["at"] for c in drawn["cameras"]] == [[-1, 0, 0], [0, 0, 0], [1, 0, 0]]
+    assert [c["test"] for c in drawn["cameras"]] == [True, False, False]

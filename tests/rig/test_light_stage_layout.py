@@ -6,6 +6,9 @@ import pytest
 from pipeline.capture import open_capture
 from pipeline.errors import UserError
 from pipeline.formats.images import write_exr, write_mask
+from pipeline.geometry.cameras import camera_from_frame
+from stages.calib.decode.linear_stage_frames import LinearFrames
+from stages.calib.decode.olat_index import _table
 
 CAMERA = """#focal length
 200 200
@@ -57,7 +60,15 @@ def test_a_smaller_image_is_the_full_frame_scaled_by_height_and_centred(tmp_path
 def test_distortion_is_applied_only_on_request(tmp_path):
     build(tmp_path)
     (tmp_path / "capture.toml").write_text("[olat]\ndistortion = true\n")
-    assert open_capture(tmp_path).light_stage.cameras["cam00"].camera.distortion[0] == 0.4
+    stage = open_capture(tmp_path).light_stage
+    assert stage.cameras["cam00"].camera.distortion[0] == 0.4
+    entry = _table(stage, tmp_path, LinearFrames({}, None, 0.0, 0, {}, {}))["cameras"]["cam00"]["camera"]
+    read = camera_from_frame({"file_path": "cam00", **entry}, {}, tmp_path / "olat.json")  # as the olat stage does
+    assert read.distortion == (0.4, -0.2, 0.0, 0.0)
+    text = (tmp_path / "cameras" / "camera00.txt").read_text()
+    (tmp_path / "cameras" / "camera00.txt").write_text(text.replace("0.4 -0.2 0 0", "-80 0 0 0"))
+    with pytest.raises(UserError, match=r"camera00\.txt.*folds"):
+        open_capture(tmp_path)
 
 
 def test_a_table_of_another_length_is_refused(tmp_path):

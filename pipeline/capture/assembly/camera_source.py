@@ -16,11 +16,15 @@ from pipeline.capture.camera_files.unread import unread
 from pipeline.capture.model import ViewSource
 from pipeline.capture.naming.files import IMAGE_FOLDERS, UNDISTORTED, count
 from pipeline.errors import UserError
+from pipeline.formats.arrays import read_arrays
 from pipeline.formats.colmap import find_models, model_files, read_model, registered_images
+from pipeline.geometry.camera_check import check_camera
 from pipeline.geometry.cameras import Camera
 
 IDR = ("cameras_sphere.npz", "cameras.npz", "cameras_large.npz", "cameras_*.npz")
 """NeuS' and IDR's names; those of one capture differ in scale_mat alone, which is not used."""
+SINGULAR = 1e-12
+"""Inverse condition number; that of K R is about one over the focal length in pixels."""
 
 
 def camera_table(root: Path, folder: Path) -> tuple[CameraTable | None, list[str]]:
@@ -86,7 +90,7 @@ def _model_places(near: list[Path], root: Path, folder: Path) -> list[Path]:
 
 
 def _refuse_undistorted_twice(place: Path, folder: Path, cameras: Mapping[str, Camera]) -> None:
-    if not place.is_relative_to(folder.parent) and any(any(c.distortion) for c in cameras.values()):
+    if not place.is_relative_to(folder.parent) and not all(c.is_pinhole for c in cameras.values()):
         fault = f"holds undistorted images, but the model {place} has lens distortion and was not written with them"
         raise UserError(folder, fault, f"add the model that was ({folder.parent / 'sparse'}), or give the original images")
 
@@ -133,21 +137,22 @@ def idr_table(path: Path) -> CameraTable:
     World units are those of world_mat; scale_mat, which maps a unit sphere to the object, is left to those who need it.
     Pixel centres are taken at +0.5. Raises UserError.
     """
-    try:
-        with np.load(path) as archive:
-            table = {name: np.asarray(archive[name], float) for name in archive.files if name.startswith("world_mat_")}
-    except (OSError, ValueError, zipfile.BadZipFile, EOFError) as error:
-        raise UserError(path, f"cannot be read ({error})", "copy it again from its source") from None
+    table = read_arrays(path, lambda name: name.startswith("world_mat_"))
     numbers = tuple(sorted(int(end) for k in table if (end := k.rsplit("_", 1)[1]).isdigit()))
     if not numbers:
         raise UserError(path, "has no world_mat_0, world_mat_1, ...", "write the file as IDR, NeuS and PANDORA do")
 
     def camera(index: int, size: Size) -> Camera:
-        matrix = table[f"world_mat_{numbers[index]}"]
+        what = f"world_mat_{numbers[index]}"
+        matrix = table[what]
         if matrix.shape not in ((4, 4), (3, 4)) or not np.isfinite(matrix).all():
-            raise UserError(path, f"world_mat_{numbers[index]} is not a finite 4x4 matrix", "export the cameras again")
+            raise UserError(path, f"{what} is not a finite 4x4 matrix", "export the cameras again")
+        with np.errstate(all="ignore"):
+            singular = not 1 / np.linalg.cond(matrix[:3, :3]) > SINGULAR
+        if singular:
+            raise UserError(path, f"{what} is no camera: its left 3x3 part is singular", "export the cameras again")
         k, pose = decompose(matrix[:3])
-        return Camera(*size, k[0, 0], k[1, 1], k[0, 2], k[1, 2], pose)
+        return check_camera(Camera(*size, k[0, 0], k[1, 1], k[0, 2], k[1, 2], pose), path, what)
 
     return CameraTable(path, path.name, None, len(numbers), camera, (path,), numbers)
 

@@ -10,18 +10,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.capture.angle_stack.solve import design_covariance, polariser_design
-from pipeline.capture.config import CaptureConfig
+from pipeline.capture.config import CaptureConfig, MosaicConfig
 from pipeline.capture.model import DecodedView, ViewSource
 from pipeline.capture.mosaic.order import order_fault
-from pipeline.capture.mosaic.sensor_files import mosaic_colour, read_mosaic
+from pipeline.capture.mosaic.sensor_files import mosaic_colour, read_mosaic, refuse_colour
 from pipeline.capture.naming.files import RAW_SUFFIXES, refuse_duplicates
-from pipeline.capture.naming.grouping import Group, group_and_rest
+from pipeline.capture.naming.grouping import Exposure, Group, group_and_rest
+from pipeline.capture.naming.pages import paged
 from pipeline.capture.pixels.brackets import read_exposures
 from pipeline.capture.pixels.stokes_files import finished, holds_stokes, is_verbatim, mended, stokes_exr_loader
 from pipeline.capture.pixels.stokes_frame import apply_stokes_config
+from pipeline.capture.radiometry.found import understand
 from pipeline.capture.recognition.mosaic_set import STRAYS, mosaic_set
 from pipeline.capture.recognition.strangers import left_out_line
 from pipeline.errors import UserError
+from pipeline.formats.image_parts import Page
 from pipeline.formats.images import channel_names, image_size
 
 NO_CARRIERS = "mosaic.order has no crossed polarisers on the diagonals: each angle is interpolated on its own, less exactly"
@@ -61,55 +64,80 @@ def discover(
     `kind` forces the understanding ("mosaic", "stack", "colour") where a layout or capture.toml says so. `is_named` tells
     whether a camera table names a view: the others are left out before pixels are looked at.
     """
-    wanted = kind in (None, "stack") and not _any_stokes(paths)
-    groups, rest = group_and_rest(paths, folder, config, stacks=wanted)
+    groups, unnamed = _paged_groups(paths, folder, config, is_named)
+    rest: list[Path] = []
+    if not groups:
+        wanted = kind in (None, "stack") and not _any_stokes(paths)
+        groups, rest = group_and_rest(paths, folder, config, stacks=wanted)
+        if is_named is not None and any(is_named(g) for g in groups):
+            unnamed = [g.paths[0] for g in groups if not is_named(g)]
+            groups = [g for g in groups if is_named(g)]
     warnings = [left_out_line(rest, "part of no angle stack")] if rest else []
-    unnamed: tuple[Path, ...] = ()
-    if is_named is not None and any(is_named(g) for g in groups):
-        unnamed = tuple(g.paths[0] for g in groups if not is_named(g))
-        groups = [g for g in groups if is_named(g)]
     found = _understood(groups, folder, config, camera_of, kind)
-    return replace(found, unnamed=unnamed, warnings=(*warnings, *found.warnings))
+    return replace(found, unnamed=tuple(unnamed), warnings=(*warnings, *found.warnings))
+
+
+def _paged_groups(
+    paths: list[Path], folder: Path, config: CaptureConfig, is_named: Callable[[Group], bool] | None
+) -> tuple[list[Group], list[Path]]:
+    """A group a file where files are angle stacks by themselves (else none), and the files that a camera table leaves out."""
+    names = {p: p.relative_to(folder).with_suffix("").as_posix().replace("/", "_") for p in paths}
+    named = [p for p in paths if is_named is None or is_named(Group(names[p], {None: (Exposure(p),)}))] or paths
+    inner = paged(named, config)
+    groups = [Group(names[p], {a: (Exposure(p, page=page),) for a, page in pages.items()}) for p, pages in inner.items()]
+    return groups, [p for p in paths if p not in inner] if inner else []
 
 
 def _any_stokes(paths: list[Path]) -> bool:
-    return any(p.suffix.lower() == ".exr" and holds_stokes(channel_names(p)) for p in paths)
+    return any(p.suffix.lower() == ".exr" and holds_stokes(channel_names(p, plain=True)) for p in paths)
 
 
 def _understood(groups: list[Group], folder: Path, config: CaptureConfig, camera_of: Camera_of, kind: str | None) -> Sources:
+    if any(e.page for g in groups for es in g.angles.values() for e in es):
+        _refuse_clashes(groups, folder)
+        return _stacks(groups, config, camera_of)
     paths = [p for g in groups for p in g.paths]
-    stokes = [p for p in paths if p.suffix.lower() == ".exr" and holds_stokes(channel_names(p))]
+    stokes = [p for p in paths if p.suffix.lower() == ".exr" and holds_stokes(channel_names(p, plain=True))]
     if stokes:
         odd = sorted(set(paths) - set(stokes))
         if odd:
             raise UserError(odd[0], f"holds no Stokes channels while {len(stokes)} other images do", "export every image alike")
+        known = understand(groups, config, "colour")
+        loaders = [stokes_exr_loader(g.paths[0], known.config, g.view) for g in groups]
         views = tuple(
-            ViewSource(g.view, g.paths, camera_of(g), stokes_exr_loader(g.paths[0], config), image_size(g.paths[0]))
-            for g in groups
+            ViewSource(g.view, g.paths, camera_of(g), loader, image_size(g.paths[0])) for g, loader in zip(groups, loaders)
         )
         refuse_duplicates((g.view, p) for g in groups for p in g.paths)
-        return Sources("stokes_files", views, tuple(groups))
+        return Sources("stokes_files", views, tuple(groups), known.facts, warnings=known.warnings)
     _refuse_clashes(groups, folder)
     if any(g.is_stack for g in groups):
         return _stacks(groups, config, camera_of)
     chosen = mosaic_set([g.paths[0] for g in groups], config) if kind in (None, "mosaic") else None
     if chosen is not None:
         kept = [g for g in groups if g.paths[0] in set(chosen.mosaics)]
+        refuse_colour([p for g in kept for p in g.paths], config)
         told = (left_out_line(chosen.others, STRAYS),) if chosen.others else ()
-        return replace(_mosaics(kept, config, camera_of), warnings=told)
+        mosaics = _mosaics(kept, config, camera_of)
+        return replace(mosaics, warnings=(*told, *mosaics.warnings))
     if kind == "mosaic":
+        refuse_colour([p for g in groups for p in g.paths], config)
         return _mosaics(groups, config, camera_of)
-    views = tuple(ViewSource(g.view, g.paths, camera_of(g), _colour_loader(g, config), size_of(g.paths[0])) for g in groups)
-    return Sources("colour", views, tuple(groups))
+    if config.mosaic != MosaicConfig():
+        refuse_colour([p for g in groups for p in g.paths], config)
+    known = understand(groups, config, "colour")
+    views = tuple(
+        ViewSource(g.view, g.paths, camera_of(g), _colour_loader(g, known.config), size_of(g.paths[0])) for g in groups
+    )
+    return Sources("colour", views, tuple(groups), known.facts, warnings=known.warnings)
 
 
-def size_of(path: Path) -> tuple[int, int]:
+def size_of(path: Path, page: Page | None = None) -> tuple[int, int]:
     """(width, height) as decoded; of a raw file the visible area."""
     if path.suffix.lower() in RAW_SUFFIXES:
         from pipeline.capture.pixels.raw import raw_size
 
         return raw_size(path)
-    return image_size(path)
+    return image_size(path, page)
 
 
 def _refuse_clashes(groups: list[Group], folder: Path) -> None:
@@ -140,29 +168,32 @@ def _stacks(groups: list[Group], config: CaptureConfig, camera_of: Camera_of) ->
                 "add the missing files, or remove the view",
             )
     angles = ", ".join(f"{a:g}" for a in usual.angles if a is not None)
-    views = tuple(
-        ViewSource(g.view, g.paths, camera_of(g), _stack_loader(g, config, camera_of(g)), size_of(g.paths[0])) for g in groups
-    )
-    return Sources("stack", views, tuple(groups), (f"stacks behind a polariser at {angles} degrees",))
+    known = understand(groups, config, "stack")
+
+    def source(g: Group) -> ViewSource:
+        page = next(iter(g.angles.values()))[0].page
+        loader = _stack_loader(g, known.config, camera_of(g))
+        return ViewSource(g.view, g.paths, camera_of(g), loader, size_of(g.paths[0], page), paged=page is not None)
+
+    inside = " (images of one file)" if any(e.page for es in usual.angles.values() for e in es) else ""
+    facts = (f"stacks behind a polariser at {angles} degrees{inside}", *known.facts)
+    return Sources("stack", tuple(map(source, groups)), tuple(groups), facts, warnings=known.warnings)
 
 
 def _mosaics(groups: list[Group], config: CaptureConfig, camera_of: Camera_of) -> Sources:
     colour = config.mosaic.colour or mosaic_colour([g.paths[0] for g in groups], config)
+    known = understand(groups, config, "mosaic", colour == "bayer")
     views = tuple(
-        ViewSource(g.view, g.paths, camera_of(g), _mosaic_loader(g, config, colour), size_of(g.paths[0])) for g in groups
+        ViewSource(g.view, g.paths, camera_of(g), _mosaic_loader(g, known.config, colour), size_of(g.paths[0])) for g in groups
     )
     order = " ".join(f"{a:g}" for a in config.mosaic.order[:2]) + " / " + " ".join(f"{a:g}" for a in config.mosaic.order[2:])
-    return Sources(
-        "mosaic",
-        views,
-        tuple(groups),
-        (f"polariser mosaic {order} ({'quad-Bayer ' + config.mosaic.bayer if colour == 'bayer' else 'monochrome'})",),
-    )
+    what = f"polariser mosaic {order} ({'quad-Bayer ' + config.mosaic.bayer if colour == 'bayer' else 'monochrome'})"
+    return Sources("mosaic", views, tuple(groups), (what, *known.facts), warnings=known.warnings)
 
 
 def _colour_loader(group: Group, config: CaptureConfig) -> Callable[[], DecodedView]:
     def load() -> DecodedView:
-        image = read_exposures(group.angles[None], config.radiometry)
+        image = read_exposures(group.angles[None], config.radiometry, view=group.view)
         rgb = np.ascontiguousarray(image.rgb(group.paths[0]))
         if config.radiometry.white_balance:
             rgb *= np.asarray(config.radiometry.white_balance, np.float32)
@@ -207,8 +238,9 @@ def _mosaic_loader(group: Group, config: CaptureConfig, colour: str) -> Callable
         stokes = apply_stokes_config(stokes, config.stokes)
         design = polariser_design(config.mosaic.order, extinction)
         view = DecodedView(
-            stokes=stokes, saturated=_block_any(image.saturated), design=design, covariance=design_covariance(design)
-        )
+            stokes=stokes, saturated=_block_any(image.saturated), alpha=image.alpha, design=design,
+            covariance=design_covariance(design),
+        )  # fmt: skip
         fault = order_fault(samples, config.mosaic.order)
         if not fault and config.mosaic.demosaic == "carriers" and not carries(config.mosaic.order):
             fault = NO_CARRIERS

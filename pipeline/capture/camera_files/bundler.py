@@ -47,8 +47,6 @@ def read(path: Path) -> CameraTable:
     def camera(index: int, size: Size) -> Camera:
         row = rows[placed[index]]
         turn = row[3:12].reshape(3, 3)
-        if np.abs(turn @ turn.T - np.eye(3)).max() > 1e-2 or np.linalg.det(turn) < 0:
-            raise UserError(path, f"the matrix of camera {placed[index]} is no rotation", "copy it again from its source")
         pose = np.eye(4)
         pose[:3, :3], pose[:3, 3] = turn, row[12:]
         lens = (float(row[1]), float(row[2]), 0.0, 0.0) if row[1:3].any() else ()

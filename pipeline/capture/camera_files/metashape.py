@@ -13,6 +13,7 @@ from pipeline.capture.camera_files.table import CameraTable, Size
 from pipeline.capture.naming.files import count, some
 from pipeline.errors import UserError
 from pipeline.geometry.cameras import Camera
+from pipeline.geometry.lens_models import PINHOLE
 
 SEEN_PX = 0.05
 """A lens term that moves no pixel of the frame by more is none."""
@@ -24,6 +25,7 @@ class _Sensor:
     focal: tuple[float, float]
     centre: tuple[float, float]
     distortion: tuple[float, ...]
+    model: str = PINHOLE
 
 
 def find(folders: list[Path]) -> Path | None:
@@ -45,7 +47,7 @@ def read(path: Path) -> CameraTable:
     """Cameras in the world of the chunk's (or component's) transform, else in the chunk's own. Raises UserError.
 
     A camera's `transform` takes camera axes (x right, y down, z ahead) to the chunk; f, cx, cy (from the middle of the
-    frame), b1, k1 k2 p1 p2 are Metashape's, whose p1 and p2 stand the other way round than OpenCV's.
+    frame), b1, k1 k2 k3 p1 p2 are Metashape's, whose p1 and p2 stand the other way round than OpenCV's.
     """
     try:
         chunk = ElementTree.parse(path).getroot().find("chunk")
@@ -75,7 +77,7 @@ def read(path: Path) -> CameraTable:
     def camera(index: int, size: Size) -> Camera:
         pose, key = cameras[index]
         lens = lenses[key]
-        return Camera(*lens.size, *lens.focal, *lens.centre, pose, lens.distortion)
+        return Camera(*lens.size, *lens.focal, *lens.centre, pose, lens.distortion, lens=lens.model)
 
     told = f"{path}: {count(unplaced, 'photograph')} not aligned by Metashape ({some(unplaced)}); left out"
     return CameraTable(path, "Metashape", tuple(names), len(names), camera, (path,), warnings=(told,) if unplaced else ())
@@ -111,7 +113,7 @@ def _world_to_camera(pose: NDArray[np.float64], place: NDArray[np.float64] | Non
         turned[:3, :3] = place[:3, :3] @ pose[:3, :3] / scale
         turned[:3, 3] = place[:3, :3] @ pose[:3, 3] + place[:3, 3]
         pose = turned
-    if np.abs(pose[:3, :3] @ pose[:3, :3].T - np.eye(3)).max() > 1e-3:
+    if np.linalg.matrix_rank(pose) < 4:
         raise ValueError("a camera's <transform> is no rotation")
     return np.asarray(np.linalg.inv(pose), np.float64)
 
@@ -139,10 +141,14 @@ def _sensor(sensor: ElementTree.Element, path: Path) -> _Sensor:
     if width <= 0 or height <= 0 or not fx > 0 or not fy > 0:
         raise ValueError("a sensor's focal length or resolution is not above 0")
     corner = float(np.hypot(width / fx, height / fy)) / 2
-    rest = {"k3": value("k3") * corner**7 * fx, "k4": value("k4") * corner**9 * fx, "b2": value("b2") * height / 2 / fy}
+    rest = {"k4": value("k4") * corner**9 * fx, "b2": value("b2") * height / 2 / fy}
     bad = [name for name, moved in rest.items() if abs(moved) > SEEN_PX]
     if bad:
         fault = f"its lens has {', '.join(bad)}, which is not supported"
         raise UserError(path, fault, "fit the lens without it in Metashape, or export undistorted photographs")
-    k = (value("k1"), value("k2"), value("p2"), value("p1"))
-    return _Sensor((width, height), (fx, fy), (width / 2 + value("cx"), height / 2 + value("cy")), k if any(k) else ())
+    k: tuple[float, ...] = (value("k1"), value("k2"), value("p2"), value("p1"))
+    model = PINHOLE
+    if k3 := value("k3"):
+        k, model = (*k, k3, 0.0, 0.0, 0.0), "FULL_OPENCV"
+    centre = (width / 2 + value("cx"), height / 2 + value("cy"))
+    return _Sensor((width, height), (fx, fy), centre, k if any(k) else (), model)

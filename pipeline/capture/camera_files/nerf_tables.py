@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -13,9 +12,11 @@ from pipeline.capture.camera_files.table import entries_of, stem_parts
 from pipeline.capture.naming.files import IMAGE_SUFFIXES, image_folder, list_images
 from pipeline.capture.recognition.strangers import sort_out
 from pipeline.errors import UserError
+from pipeline.formats.json_file import read_json
 
 FILE = "transforms.json"
 PARTS = {"transforms_train.json": "train", "transforms_val.json": "validation", "transforms_test.json": "test"}
+LONGEST_NAME = 4096  # Linux's PATH_MAX
 FEWEST = 4
 """Views that training needs: parts that leave fewer to it hold none out."""
 
@@ -119,14 +120,17 @@ def _by_name(base: Path, frames: list[NerfFrame]) -> list[NerfFrame]:
 
 def load_table(path: Path) -> dict[str, Any]:
     """The parsed transforms.json with at least one frame. Raises UserError."""
-    try:
-        table = json.loads(path.read_text(encoding="utf-8-sig"))
-    except (OSError, ValueError, RecursionError) as error:
-        raise UserError(path, f"is not valid JSON ({error})", "export it again") from None
+    table = read_json(path)
     frames = table.get("frames") if isinstance(table, dict) else None
     if not isinstance(frames, list) or not frames:
         raise UserError(path, "holds no frames", 'it needs "frames": [{"file_path", "transform_matrix"}, ...]')
     for frame in frames:
         if not isinstance(frame, dict) or not isinstance(frame.get("file_path"), str) or not frame["file_path"]:
             raise UserError(path, "a frame has no file_path", "name the image of every frame")
+        if not isinstance(frame.get("mask_path") or "", str):
+            fault = f"frame {frame['file_path']}: mask_path = {frame['mask_path']!r} is not text"
+            raise UserError(path, fault, "name the frame's mask, or leave it out")
+        for key in ("file_path", "mask_path"):
+            if len(frame.get(key) or "") > LONGEST_NAME or "\0" in (frame.get(key) or ""):
+                raise UserError(path, f"a frame's {key} is no file name ({frame[key][:40]!r}...)", "name the frame's file")
     return table

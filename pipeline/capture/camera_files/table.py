@@ -12,6 +12,7 @@ from pipeline.capture.model import ViewSource
 from pipeline.capture.naming.files import IMAGE_SUFFIXES, count, some
 from pipeline.capture.naming.grouping import Group
 from pipeline.errors import UserError
+from pipeline.geometry.camera_check import check_camera
 from pipeline.geometry.cameras import Camera
 
 Size = tuple[int, int]
@@ -37,6 +38,11 @@ class CameraTable:
     warnings: tuple[str, ...] = ()
     facts: tuple[str, ...] = ()
 
+    def checked(self, index: int, size: Size) -> Camera:
+        """`camera`, if it can be one. Raises UserError on the file, naming the entry."""
+        what = f"camera {index}" if self.names is None else f"image {self.names[index]}"
+        return check_camera(self.camera(index, size), self.path, what)
+
     def named(self, group: Group, folder: Path) -> bool:
         """Whether the table has a camera for a view; always where it goes by order."""
         if self.names is None:
@@ -56,7 +62,7 @@ def cameras_of_views(table: CameraTable, views: Sequence[ViewSource], folder: Pa
     cameras = {}
     for view in views:
         if view.view in entry:
-            found = table.camera(entry[view.view], view.size or (0, 0))
+            found = table.checked(entry[view.view], view.size or (0, 0))
             cameras[view.view] = replace(fitted(found, view, table), name=view.camera)
     missing = [v.view for v in views if v.view not in cameras]
     warnings = list(table.warnings)

@@ -10,6 +10,7 @@ from pipeline.capture.layouts.photographs import pictures, read_as
 from pipeline.capture.layouts.photographs import recognise as has_pictures
 from pipeline.capture.model import Capture
 from pipeline.capture.naming.grouping import group_files
+from pipeline.capture.naming.pages import angle_pages
 from pipeline.errors import UserError
 
 
@@ -24,8 +25,9 @@ def recognise(root: Path) -> bool:
     except UserError:  # nothing readable: the last layout says so
         return False
     try:
-        return any(g.is_stack for g in group_files(found.paths, found.folder, config))
-    except UserError:  # about as many files fit as do not: the reader says so
+        named = any(g.is_stack for g in group_files(found.paths, found.folder, config))
+        return named or bool(angle_pages(found.paths[0], config))
+    except UserError:  # about as many files fit as do not, or pages tell no angles: the reader says so
         return True
 
 

@@ -17,7 +17,9 @@ from pipeline.capture.light_stage.tables import read_light_table, table_beside
 from pipeline.capture.model import Capture, LightStage, LightStageCamera, LightTable
 from pipeline.capture.naming.files import find_environments
 from pipeline.errors import UserError
+from pipeline.geometry.camera_check import check_camera
 from pipeline.geometry.cameras import OPENGL_FROM_OPENCV, Camera
+from pipeline.geometry.straight_camera import unreached
 
 FORMAT = "add it (lines #focal length, #principal point, #resolution, #distortion coeffs, MATRIX :), or remove the folder"
 
@@ -44,6 +46,7 @@ def read(root: Path, config: CaptureConfig) -> Capture:
     for camera in cameras.values():
         files += [*camera.cross, *camera.parallel, *([camera.mask] if camera.mask else [])]
     files += [root / "capture.toml"] if config.path is not None else []
+    files += [root / name for name in (config.radiometry.dark_frame, config.radiometry.flat_field) if name]
     environments = find_environments(root)
     facts = left_out_fact(passes)
     extra = {len(camera.full_light) for camera in cameras.values()} - {0}
@@ -68,6 +71,7 @@ def read(root: Path, config: CaptureConfig) -> Capture:
 def _camera(
     root: Path, folders: CameraFolders, lights: LightTable, table: Path, config: CaptureConfig, found: dict[str, PassFrames]
 ) -> LightStageCamera:
+    from pipeline.capture.assembly.sources import size_of
     from pipeline.formats.images import image_size
 
     passes = {}
@@ -78,7 +82,7 @@ def _camera(
             )
         passes[name] = pass_frames(folders.passes[name], lights, table, config.olat.first_frame)
         found[f"{folders.name}/{name}"] = passes[name]
-    sizes = {name: image_size(p.frames[0]) for name, p in passes.items()}
+    sizes = {name: size_of(p.frames[0]) for name, p in passes.items()}
     if sizes["cross"] != sizes["parallel"]:
         fault = f"is {sizes['parallel']} pixels, the cross pass {sizes['cross']}"
         raise UserError(passes["parallel"].frames[0], fault, "export both passes at one size")
@@ -124,14 +128,13 @@ def read_camera(path: Path, width: int, height: int, name: str = "camera", disto
 
     focal, centre, full = (block(title, 1, 2)[0] for title in ("#focal", "#principal", "#resolution"))
     world_from_gl = block("matrix", 4, 4)
-    rotation = world_from_gl[:3, :3]
-    if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3 or np.linalg.det(rotation) < 0:
-        raise UserError(path, "its matrix holds no rotation", "give camera-to-world, OpenGL axes, row by row")
     if focal.min() <= 0 or full.min() <= 0:
         raise UserError(path, f"focal length {focal.tolist()} or resolution {full.tolist()} is not above 0", "mend it")
+    if np.linalg.matrix_rank(world_from_gl) < 4:
+        raise UserError(path, "its matrix holds no rotation", "give camera-to-world, OpenGL axes, row by row")
     scale = height / full[1]
     coefficients = tuple(block("#distortion", 1, 4)[0]) if distortion else ()
-    return Camera(
+    camera = Camera(
         width=width,
         height=height,
         fx=focal[0] * scale,
@@ -142,6 +145,10 @@ def read_camera(path: Path, width: int, height: int, name: str = "camera", disto
         distortion=coefficients,
         name=name,
     )
+    if unreached(check_camera(camera, path, name)) > 0:
+        fault = f"its distortion ({', '.join(f'{k:g}' for k in coefficients)}) folds within the image"
+        raise UserError(path, fault, "check the coefficients, or set olat.distortion = false")
+    return camera
 
 
 LAYOUT = Layout(

@@ -16,14 +16,12 @@ from pipeline.capture.model import Capture, DecodedView, ViewSource
 from pipeline.capture.naming.files import FLOAT_SUFFIXES
 from pipeline.capture.pixels.linear import read_linear
 from pipeline.capture.pixels.stokes_files import finished
-from pipeline.capture.pixels.stokes_frame import apply_stokes_config
+from pipeline.capture.pixels.stokes_frame import FROM_SUMS, FROM_SUMS_FACT, apply_stokes_config
 from pipeline.errors import UserError
 from pipeline.formats.images import image_size
 
 FOLDER, CAMERAS = "images_stokes", "cameras.npz"
 PARTS = ("s0", "s0p1", "s0p2")
-RADIANCE = np.float32(0.5)
-"""The files store the sum of two crossed exposures, twice the radiance behind an unpolarised lens."""
 
 
 def recognise(root: Path) -> bool:
@@ -52,7 +50,7 @@ def read(root: Path, config: CaptureConfig) -> Capture:
     capture = assemble(
         root, "pandora", config, folder, tuple(views), "stokes", cameras, (root / CAMERAS,) if has_cameras else ()
     )
-    return replace(capture, facts=("files hold twice the radiance: halved",))
+    return replace(capture, facts=(FROM_SUMS_FACT,))
 
 
 def _loader(paths: tuple[Path, ...], config: CaptureConfig) -> Callable[[], DecodedView]:
@@ -61,7 +59,7 @@ def _loader(paths: tuple[Path, ...], config: CaptureConfig) -> Callable[[], Deco
         if len({p.shape for p in parts}) > 1:
             raise UserError(paths[1], f"is {parts[1].shape[:2]}, {paths[0].name} is {parts[0].shape[:2]}", "one size a view")
         s0, s0p1, s0p2 = parts
-        stokes = np.stack([s0, s0p1 - s0, s0p2 - s0], axis=2) * RADIANCE
+        stokes = np.stack([s0, s0p1 - s0, s0p2 - s0], axis=2) * FROM_SUMS
         return finished(DecodedView(stokes=apply_stokes_config(stokes, config.stokes)), paths[0])
 
     return load

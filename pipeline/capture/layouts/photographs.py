@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
 
 from pipeline.capture.assembly.assemble import PLATES, Pictures, assemble, folder_camera, outside_images
 from pipeline.capture.assembly.camera_source import camera_table
@@ -12,7 +11,7 @@ from pipeline.capture.assembly.sources import Sources, discover
 from pipeline.capture.camera_files.table import stem_parts
 from pipeline.capture.config import CaptureConfig
 from pipeline.capture.layouts import Layout
-from pipeline.capture.model import Capture
+from pipeline.capture.model import Capture, Polarisation
 from pipeline.capture.naming.files import (
     IMAGE_SUFFIXES,
     RAW_SUFFIXES,
@@ -27,6 +26,7 @@ from pipeline.capture.naming.grouping import Group
 from pipeline.capture.recognition.one_framing import changes_light
 from pipeline.capture.recognition.strangers import sort_out
 from pipeline.errors import UserError
+from pipeline.formats.bare_arrays import ARRAY_SUFFIXES
 
 
 def recognise(root: Path) -> bool:
@@ -34,8 +34,8 @@ def recognise(root: Path) -> bool:
 
 
 def loose_images(root: Path) -> list[Path]:
-    """Image files that lie in the capture's folder itself."""
-    wanted = set(IMAGE_SUFFIXES) | set(UNREADABLE)
+    """Image files, arrays and bare samples that lie in the capture's folder itself."""
+    wanted = set(IMAGE_SUFFIXES) | set(UNREADABLE) | ARRAY_SUFFIXES
     return sorted(
         p for p in root.iterdir() if p.suffix.lower() in wanted and not p.name.startswith((".", "clean_plate")) and p.is_file()
     )
@@ -93,7 +93,7 @@ def read_as(root: Path, config: CaptureConfig, layout: str, kind: str) -> Captur
     sources = discover(found.paths, folder, config, camera_of, kind, named)
     if table is None and config.layout is None and not config.polarisers:
         _refuse_one_framing(sources, folder)
-    polarisation: Literal["stokes", "polarisers", "none"]
+    polarisation: Polarisation
     polarisation = "stokes" if sources.holds_stokes else "polarisers" if config.polarisers else "none"
     capture = assemble(root, layout, config, folder, sources.views, polarisation, facts=sources.facts, table=table, look=False)
     warnings = [*found.warnings, *sources.warnings, *capture.warnings]

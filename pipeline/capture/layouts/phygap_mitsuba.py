@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +12,9 @@ from pipeline.capture.model import Capture, ViewSource
 from pipeline.capture.naming.files import check_masks, count, find_environments, find_masks, list_images, some, sorted_views
 from pipeline.capture.pixels.stokes_files import stokes_exr_loader
 from pipeline.errors import UserError
+from pipeline.formats.arrays import read_arrays
 from pipeline.formats.images import image_size
+from pipeline.geometry.camera_check import check_camera
 from pipeline.geometry.cameras import Camera
 
 FOLDER, PARAMETERS = "images_full", "camera_params.npz"
@@ -60,7 +61,8 @@ def read(root: Path, config: CaptureConfig) -> Capture:
             raise UserError(
                 path, f"is {size[0]}x{size[1]}, {PARAMETERS} says {want[0]}x{want[1]}", "render it again in that size"
             )
-        cameras[path.stem] = Camera(*size, float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2]), extrinsics[index])
+        camera = Camera(*size, float(k[0, 0]), float(k[1, 1]), float(k[0, 2]), float(k[1, 2]), extrinsics[index])
+        cameras[path.stem] = check_camera(camera, root / PARAMETERS, f"camera {index}")
         views.append(ViewSource(path.stem, (path,), "camera", stokes_exr_loader(path, config), size))
     by_view = {v.view: v.paths[0] for v in views}
     masks, more = find_masks(root, by_view, folder)
@@ -75,12 +77,9 @@ def read(root: Path, config: CaptureConfig) -> Capture:
 
 def load_parameters(path: Path) -> dict[str, np.ndarray]:
     """The arrays of camera_params.npz, checked. Raises UserError."""
-    try:
-        with np.load(path) as archive:
-            table = {name: np.asarray(archive[name], float) for name in archive.files}
-    except (OSError, ValueError, zipfile.BadZipFile, EOFError) as error:
-        raise UserError(path, f"cannot be read ({error})", "copy it again from its source") from None
-    missing = [k for k in ("intrinsics", "extrinsics", "image_width", "image_height") if k not in table]
+    wanted = ("intrinsics", "extrinsics", "image_width", "image_height")
+    table = read_arrays(path, lambda name: name in wanted)
+    missing = [k for k in wanted if k not in table]
     if missing:
         raise UserError(path, f"has no {', '.join(missing)}", "write the file as PhyGaP's renderer does")
     extrinsics = table["extrinsics"]
@@ -88,11 +87,17 @@ def load_parameters(path: Path) -> dict[str, np.ndarray]:
         raise UserError(
             path, f"extrinsics have the shape {extrinsics.shape}, not (views, 4, 4)", "write world-to-camera matrices"
         )
+    shape = table["intrinsics"].shape
+    if shape != (3, 3) and shape != (len(extrinsics), 3, 3):
+        fault = f"intrinsics have the shape {shape}, not (3, 3) or ({len(extrinsics)}, 3, 3)"
+        raise UserError(path, fault, "write pinhole matrices")
     if extrinsics.shape[1] == 3:
         bottom = np.broadcast_to([[[0.0, 0.0, 0.0, 1.0]]], (len(extrinsics), 1, 4))
         table["extrinsics"] = np.concatenate([extrinsics, bottom], axis=1)
-    if not all(np.isfinite(table[k]).all() for k in ("intrinsics", "extrinsics")):
-        raise UserError(path, "holds cameras that are not finite", "render it again")
+    for k in ("image_width", "image_height"):
+        if table[k].size != 1 or not np.isfinite(table[k]).all() or not float(table[k].ravel()[0]) > 0:
+            raise UserError(path, f"{k} is not one number above 0", "write the image's size in pixels")
+        table[k] = table[k].reshape(())
     return table
 
 

@@ -15,12 +15,11 @@ from pipeline.capture.layouts import Layout
 from pipeline.capture.layouts.array_files import array_size, load_array
 from pipeline.capture.model import Capture, DecodedView, ViewSource
 from pipeline.capture.pixels.stokes_files import finished
-from pipeline.capture.pixels.stokes_frame import apply_stokes_config
+from pipeline.capture.pixels.stokes_frame import FROM_SUMS, FROM_SUMS_FACT, apply_stokes_config
 from pipeline.errors import UserError
 
 FOLDER, CAMERAS = "images_stokes", "cameras.npz"
 PARTS = ("S0", "S1", "S2")
-RADIANCE = np.float32(0.5)
 
 
 def recognise(root: Path) -> bool:
@@ -36,7 +35,7 @@ def read(root: Path, config: CaptureConfig) -> Capture:
     has_cameras = (root / CAMERAS).is_file()
     cameras = from_idr(root / CAMERAS, list(sizes), sizes) if has_cameras else None
     capture = assemble(root, "rmvp3d", config, folder, views, "stokes", cameras, (root / CAMERAS,) if has_cameras else ())
-    return replace(capture, facts=("files hold twice the radiance: halved",))
+    return replace(capture, facts=(FROM_SUMS_FACT,))
 
 
 def _loader(path: Path, config: CaptureConfig) -> Callable[[], DecodedView]:
@@ -44,7 +43,7 @@ def _loader(path: Path, config: CaptureConfig) -> Callable[[], DecodedView]:
         parts = [load_array(path, key) for key in PARTS]
         if len({p.shape for p in parts}) > 1:
             raise UserError(path, f"S0, S1, S2 have the shapes {[p.shape for p in parts]}", "export them alike")
-        stokes = np.stack(parts, axis=2) * RADIANCE
+        stokes = np.stack(parts, axis=2) * FROM_SUMS
         return finished(DecodedView(stokes=apply_stokes_config(stokes, config.stokes)), path)
 
     return load

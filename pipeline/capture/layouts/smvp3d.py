@@ -15,11 +15,10 @@ from pipeline.capture.layouts import Layout
 from pipeline.capture.layouts.array_files import array_size, load_array
 from pipeline.capture.model import Capture, DecodedView, ViewSource
 from pipeline.capture.pixels.stokes_files import finished
-from pipeline.capture.pixels.stokes_frame import apply_stokes_config
+from pipeline.capture.pixels.stokes_frame import FROM_SUMS, FROM_SUMS_FACT, apply_stokes_config
 from pipeline.errors import UserError
 
 FOLDERS, CAMERAS = ("s0", "s1", "s2"), "cameras.npz"
-RADIANCE = np.float32(0.5)
 
 
 def recognise(root: Path) -> bool:
@@ -41,7 +40,7 @@ def read(root: Path, config: CaptureConfig) -> Capture:
     capture = assemble(
         root, "smvp3d", config, root / "s0", tuple(views), "stokes", cameras, (root / CAMERAS,) if has_cameras else ()
     )
-    return replace(capture, facts=("files hold twice the radiance: halved",))
+    return replace(capture, facts=(FROM_SUMS_FACT,))
 
 
 def _loader(paths: tuple[Path, ...], config: CaptureConfig) -> Callable[[], DecodedView]:
@@ -54,7 +53,7 @@ def _loader(paths: tuple[Path, ...], config: CaptureConfig) -> Callable[[], Deco
                     f"is {part.shape[1]}x{part.shape[0]}, its s0 {parts[0].shape[1]}x{parts[0].shape[0]}",
                     "one size a view",
                 )
-        stokes = np.stack(parts, axis=2) * RADIANCE
+        stokes = np.stack(parts, axis=2) * FROM_SUMS
         return finished(DecodedView(stokes=apply_stokes_config(stokes, config.stokes)), paths[0])
 
     return load

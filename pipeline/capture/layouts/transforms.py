@@ -5,14 +5,14 @@ from __future__ import annotations
 import json
 import os
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from pipeline.capture.assembly.assemble import find_plates
 from pipeline.capture.assembly.sources import discover
 from pipeline.capture.camera_files.nerf_tables import FILE, NerfFrame, captures_below, held_out, load_frames, table_files
 from pipeline.capture.config import CaptureConfig
 from pipeline.capture.layouts import Layout
-from pipeline.capture.model import Capture, ViewSource
+from pipeline.capture.model import Capture, Polarisation, ViewSource
 from pipeline.capture.naming.files import (
     IMAGE_SUFFIXES,
     UNREADABLE,
@@ -28,6 +28,7 @@ from pipeline.capture.naming.files import (
 from pipeline.capture.naming.grouping import Group
 from pipeline.capture.recognition.strangers import sort_out
 from pipeline.errors import UserError
+from pipeline.formats.bare_arrays import ARRAY_SUFFIXES
 from pipeline.formats.images import channel_names, image_size
 from pipeline.geometry.cameras import Camera, camera_from_frame
 
@@ -94,10 +95,10 @@ def read(root: Path, config: CaptureConfig) -> Capture:
             raise UserError(mask, f"named in {where.name} but not there", "add it or remove its mask_path")
     check_masks(masks, lambda view: (cameras[view].width, cameras[view].height))
     told = bool(config.polarisers) or any("camera" in frame.told for frame in frames)
-    kind: Literal["stokes", "polarisers", "none"] = "stokes" if sources.holds_stokes else "polarisers" if told else "none"
+    kind: Polarisation = "stokes" if sources.holds_stokes else "polarisers" if told else "none"
     plates, plate_files = find_plates(root, config, tuple(views))
     environments = find_environments(root)
-    alpha = not masks and all_have_alpha([v.paths[0] for v in views])
+    alpha = not masks and all_have_alpha(views)
     name = {"stokes_files": "stokes_transforms", "colour": f"{'polarisers' if told else 'rgb'}_transforms"}
     told_by = "cameras: " + ", ".join(_below(p, root) for p in files)
     facts = sources.facts if files == [root / FILE] else (*sources.facts, told_by)
@@ -133,8 +134,6 @@ def pictures_of(root: Path, frames: list[NerfFrame]) -> tuple[Path, list[Path], 
 def mask_of(frame: NerfFrame) -> Path:
     """The file of a frame's mask_path."""
     told = frame.told["mask_path"]
-    if not isinstance(told, str):
-        raise UserError(frame.where, f"frame {frame.told['file_path']}: mask_path is not text", "name the mask's file")
     path = frame.where.parent / told
     plain = frame.where.parent / told.replace("\\", "/")
     return path if path.is_file() else plain
@@ -150,7 +149,7 @@ def frames_by_view(folder: Path, frames: list[NerfFrame]) -> dict[str, NerfFrame
         out[relative] = frame
     for relative, frame in list(out.items()):
         path = Path(relative)
-        stem = path.with_suffix("").as_posix() if path.suffix.lower() in IMAGE_SUFFIXES else path.as_posix()
+        stem = path.with_suffix("").as_posix() if path.suffix.lower() in IMAGE_SUFFIXES | ARRAY_SUFFIXES else path.as_posix()
         out.setdefault(f"view:{stem.replace('/', '_')}", frame)
     return out
 
@@ -198,9 +197,12 @@ def physical_camera(frame: dict[str, Any], path: Path, folder: Path, config: Cap
     return named[0] if named else DEFAULT_CAMERA
 
 
-def all_have_alpha(paths: list[Path]) -> bool:
-    """Whether every image carries an alpha channel (headers only)."""
-    return all(p.suffix.lower() in (".png", ".tif", ".tiff", ".exr") and "A" in channel_names(p) for p in paths)
+def all_have_alpha(views: list[ViewSource]) -> bool:
+    """Whether every view's image carries an alpha channel (headers only)."""
+    files = [v.paths[0] for v in views if not v.paged]
+    return len(files) == len(views) and all(
+        p.suffix.lower() in (".png", ".tif", ".tiff", ".exr") and "A" in channel_names(p, plain=True) for p in files
+    )
 
 
 LAYOUT = Layout(

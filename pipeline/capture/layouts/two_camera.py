@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
 
 from pipeline.capture.assembly.camera_source import from_colmap
@@ -23,6 +24,7 @@ from pipeline.capture.recognition.strangers import sort_out
 from pipeline.errors import UserError
 from pipeline.formats.colmap import find_model
 from pipeline.geometry.cameras import Camera
+from pipeline.geometry.worlds import ONE_WORLD, two_worlds
 
 
 def recognise(root: Path) -> bool:
@@ -41,6 +43,7 @@ def read(root: Path, config: CaptureConfig) -> Capture:
     masks: dict[str, Path] = {}
     files: list[Path] = []
     warnings: list[str] = []
+    facts: list[str] = []
     for folder in camera_folders(root):
         images = image_folder(folder)
         paths = list_images(images) if images != folder else [p for p in list_images(folder) if "mask" not in p.parent.name]
@@ -50,7 +53,9 @@ def read(root: Path, config: CaptureConfig) -> Capture:
         if not paths:
             raise UserError(images, "the COLMAP folder holds no image", "put the images behind this polariser into images/")
         name = folder.name
-        here = discover(paths, images, config, lambda _, name=name: name, kind="colour")  # type: ignore[misc]
+        own = _of_folder(config, name)
+        here = discover(paths, images, own, lambda _, name=name: name, kind="colour")  # type: ignore[misc]
+        facts += [f"{name}: {fact}" for fact in here.facts]
         found, _, more, model = from_colmap(folder, here.views, images)
         kept = [v for v in here.views if v.view in found]
         given, missing = find_masks(folder, {v.view: v.paths[0] for v in kept}, images)
@@ -58,14 +63,33 @@ def read(root: Path, config: CaptureConfig) -> Capture:
         views += [replace(v, view=f"{name}_{v.view}") for v in kept]
         cameras.update({f"{name}_{view}": camera for view, camera in found.items()})
         masks.update({f"{name}_{view}": path for view, path in given.items()})
-        warnings += more + missing
+        warnings += [*here.warnings, *more, *missing]
         files += [*model, *(p for v in kept for p in v.paths), *given.values()]
+    _refuse_two_worlds(root, views, cameras)
     environments = find_environments(root)
     return Capture(
         root, "phygap_two_camera", "multiview", "polarisers", sorted_views(views), environments=environments, config=config,
         up=config.up or "y", cameras=cameras, masks=masks or None, files=(*files, *environments), warnings=tuple(warnings),
-        polarisers=polariser_priors({v.camera for v in views}, config, root),
+        polarisers=polariser_priors({v.camera for v in views}, config, root), facts=tuple(facts),
     )  # fmt: skip
+
+
+def _of_folder(config: CaptureConfig, name: str) -> CaptureConfig:
+    """The settings as one folder's files know them: exposures told of VIEWs, which begin with the folder's name here."""
+    told = config.radiometry.exposure_s
+    of_views = {key.removeprefix(f"{name}_"): seconds for key, seconds in told.items() if key.startswith(f"{name}_")}
+    return replace(config, radiometry=replace(config.radiometry, exposure_s={**told, **of_views}))
+
+
+def _refuse_two_worlds(root: Path, views: list[ViewSource], cameras: dict[str, Camera]) -> None:
+    """Raise UserError where two folders' models have worlds of their own."""
+    by_folder: dict[str, dict[str, Camera]] = {}
+    for view in views:
+        by_folder.setdefault(view.camera, {})[view.view.removeprefix(f"{view.camera}_")] = cameras[view.view]
+    for first, second in combinations(sorted(by_folder), 2):
+        fault = two_worlds(by_folder[first], by_folder[second])
+        if fault:
+            raise UserError(root, f"the cameras of {first} and {second} {fault}", ONE_WORLD)
 
 
 LAYOUT = Layout("two_camera", "two folders, one per polariser, each with a COLMAP model and its images", recognise, read)

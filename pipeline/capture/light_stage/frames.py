@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -11,13 +9,13 @@ from pathlib import Path, PurePosixPath
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.capture.light_stage.frame_numbers import frame_files, numbered
 from pipeline.capture.model import LightTable
-from pipeline.capture.naming.files import some
+from pipeline.capture.naming.files import IMAGE_SUFFIXES, some
 from pipeline.errors import UserError
 
 LEADING_FRAMES = 2
 """A pass begins with two frames under all lights (tracking), then one frame a light; two more may follow."""
-IMAGES = (".exr", ".hdr", ".png", ".tif", ".tiff")
 
 
 @dataclass(frozen=True)
@@ -34,12 +32,12 @@ def pass_frames(folder: Path, lights: LightTable, table: Path, first: int | None
 
     Raises UserError when frames are missing, empty, or their numbers do not fit the table.
     """
-    paths = _images(folder)
+    paths = frame_files(folder)
     named = _by_name(paths, lights.names)
     if named is not None:
         rest = tuple(p for p in paths if p not in set(named))
         return PassFrames(_not_empty(named), left_out=rest)
-    found = _numbered(paths)
+    found = numbered(paths)
     index = np.arange(len(lights)) if lights.index is None else lights.index
     offset = first if first is not None else frame_offset(index, sorted(found), folder, table)
     wanted = [int(i) + offset for i in index]
@@ -86,19 +84,6 @@ def frame_offset(index: NDArray[np.int64], numbers: Sequence[int], folder: Path,
     raise UserError(table, fault, f"{remedy}: first_frame = 2 under [olat] in capture.toml")
 
 
-def _images(folder: Path) -> list[Path]:
-    files = [p for p in sorted(folder.iterdir()) if p.is_file() and not p.name.startswith(".")]
-    found = [p for p in files if p.suffix.lower() in IMAGES]
-    if found:
-        return found
-    kinds = Counter(p.suffix.lower() for p in files if p.suffix)
-    if kinds:
-        kind, n = kinds.most_common(1)[0]
-        fault = f"holds no frame that is read, but {n} {kind} files"
-        raise UserError(folder, fault, "export the frames as linear EXR or 16-bit TIFF or PNG")
-    raise UserError(folder, "holds no frame", "add the frames, or remove the camera's folder")
-
-
 def _by_name(paths: list[Path], names: tuple[str, ...] | None) -> tuple[Path, ...] | None:
     """The frames that a table names, in its order; None where it names none, or they are not all here by name."""
     if names is None:
@@ -112,25 +97,7 @@ def _by_name(paths: list[Path], names: tuple[str, ...] | None) -> tuple[Path, ..
 
 def _stem(name: str) -> str:
     path = PurePosixPath(name.replace("\\", "/"))
-    return path.stem.lower() if path.suffix.lower() in (*IMAGES, ".jpg", ".jpeg", ".tga", ".bmp", ".dng") else path.name.lower()
-
-
-def _numbered(paths: list[Path]) -> dict[int, Path]:
-    """Frames by number: of a name's numbers the last that tells the frames apart. Raises UserError."""
-    groups = {path: [int(d) for d in re.findall(r"\d+", path.stem)] for path in paths}
-    bare = next((p for p, g in groups.items() if not g), None)
-    if bare is not None:
-        raise UserError(bare, "has no frame number in its name", "name frames by number, as 000002.exr")
-    place = -1
-    if len({re.sub(r"\d+", "#", p.stem) for p in paths}) == 1:
-        width = len(groups[paths[0]])
-        place = max(range(width), key=lambda k: (len({g[k] for g in groups.values()}), k))
-    found: dict[int, Path] = {}
-    for path, numbers in groups.items():
-        if numbers[place] in found:
-            raise UserError(path, f"has the same frame number as {found[numbers[place]].name}", "keep one of the two")
-        found[numbers[place]] = path
-    return found
+    return path.stem.lower() if path.suffix.lower() in IMAGE_SUFFIXES else path.name.lower()
 
 
 def _not_empty(frames: tuple[Path, ...]) -> tuple[Path, ...]:

@@ -8,29 +8,71 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.capture.config import CaptureConfig
+from pipeline.capture.config import CaptureConfig, MosaicConfig
 from pipeline.capture.naming.files import RAW_SUFFIXES
 from pipeline.capture.naming.grouping import Group, group_files
 from pipeline.capture.pixels.brackets import read_exposures
 from pipeline.capture.pixels.linear_image import LinearImage
+from pipeline.capture.radiometry.of_file import factor_of
 from pipeline.errors import UserError
+from pipeline.formats.images import channel_names, open_image
 
 
 def read_mosaic(group: Group, config: CaptureConfig) -> LinearImage:
-    """The bare mosaic [H, W, 1] of one view, brackets merged; equal channels are one. Raises UserError on others."""
+    """The bare mosaic [H, W, 1] of one view (and its alpha), brackets merged; equal channels are one. Raises UserError on
+    others."""
     path = group.paths[0]
     if path.suffix.lower() in RAW_SUFFIXES:
         from pipeline.capture.pixels.raw import read_raw_mosaic
 
         samples, saturated = read_raw_mosaic(path, config.radiometry)
+        samples *= np.float32(factor_of(config.radiometry, path))
         return LinearImage(samples[..., None], ("Y",), saturated, 16)
-    image = read_exposures(group.angles[None], config.radiometry, sensor_data=True)
+    image = read_exposures(group.angles[None], config.radiometry, sensor_data=True, view=group.view)
     colours = [i for i, name in enumerate(image.names) if name.lower() != "a"]
     if not all(np.array_equal(image.pixels[..., colours[0]], image.pixels[..., i]) for i in colours[1:]):
         fault = f"has {len(colours)} channels that differ ({', '.join(image.names)}): it holds no polariser mosaic"
         raise UserError(path, fault, "give the sensor's own single-channel file, or move it away")
-    image.pixels, image.names = np.ascontiguousarray(image.pixels[..., colours[:1]]), ("Y",)
+    alpha = [i for i in range(len(image.names)) if i not in colours]
+    image.pixels = np.ascontiguousarray(image.pixels[..., colours[:1] + alpha])
+    image.names = ("Y", *("A" for _ in alpha))
     return image
+
+
+def refuse_colour(paths: Sequence[Path], config: CaptureConfig) -> None:
+    """Raise UserError naming a file of several different channels among files that are told, or seen, to be mosaics."""
+    for path in paths:
+        if path.suffix.lower() in RAW_SUFFIXES or single_plane(path):
+            continue
+        differ = f"has channels {', '.join(channel_names(path, plain=True))} that differ, but"
+        remedy = "save the sensor's bare samples as one channel"
+        if config.mosaic == MosaicConfig() and config.layout != "mosaic":
+            raise UserError(path, f"{differ} the other images are polariser mosaics", f"{remedy}, or move it away")
+        told = "[mosaic] in capture.toml" if config.mosaic != MosaicConfig() else 'layout = "mosaic"'
+        raise UserError(path, f"{differ} {told} says that it is a mosaic", f"{remedy}, or take that out of capture.toml")
+
+
+def single_plane(path: Path) -> bool:
+    """Whether an image file holds one plane: a single channel (beside alpha), or colours that are equal everywhere."""
+    names = [name for name in channel_names(path, plain=True) if name.lower() != "a"]
+    if len(names) != 3:
+        return len(names) == 1
+    image = open_image(path, unassociated=True)
+    spec = image.spec()
+    try:
+        for rows in (min(SKIMMED, spec.height), spec.height):  # a colour picture's first rows tell already
+            band = image.read_scanlines(0, 0, spec.y, spec.y + rows, 0, 0, spec.nchannels, "float")
+            if band is None and (band := image.read_image("float")) is None:
+                raise UserError(path, "the image is truncated or corrupt", "copy it again from its source")
+            pixels = np.asarray(band).reshape(-1, spec.nchannels)
+            if not ((pixels[:, 0] == pixels[:, 1]) & (pixels[:, 1] == pixels[:, 2])).all():
+                return False
+    finally:
+        image.close()
+    return True
+
+
+SKIMMED = 32
 
 
 def mosaic_colour(paths: Sequence[Path], config: CaptureConfig) -> str:

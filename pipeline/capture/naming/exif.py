@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 
 from pipeline.errors import UserError
-from pipeline.formats.images import _open
+from pipeline.formats.images import open_image
 
 FULL_FRAME_DIAGONAL_MM = math.hypot(36.0, 24.0)
 
@@ -18,7 +18,7 @@ def focal_from_exif(path: Path) -> float | None:
     the focal length and the focal-plane resolution.
     """
     try:
-        image = _open(path)
+        image = open_image(path)
     except UserError:
         return None
     spec = image.spec()

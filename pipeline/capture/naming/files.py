@@ -9,30 +9,34 @@ from pathlib import Path
 from pipeline.capture.config import CaptureConfig
 from pipeline.capture.model import PolariserPrior, ViewSource
 from pipeline.errors import UserError
+from pipeline.formats.bare_arrays import ARRAY_SUFFIXES
 from pipeline.formats.images import image_size
 
 FLOAT_SUFFIXES = frozenset({".exr", ".hdr"})
-PHOTO_SUFFIXES = frozenset({".png", ".tif", ".tiff", ".jpg", ".jpeg"})
-RAW_SUFFIXES = frozenset(
-    {".dng", ".nef", ".cr2", ".cr3", ".arw", ".raf", ".orf", ".rw2", ".pef", ".srw", ".3fr", ".iiq", ".nrw"}
-    | {".kdc", ".dcr", ".crw", ".mrw", ".sr2", ".srf", ".erf", ".mef", ".mos", ".x3f", ".rwl", ".fff", ".gpr"}
+PHOTO_SUFFIXES = frozenset(
+    {".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp", ".tga", ".pgm", ".ppm", ".pnm", ".pfm", ".webp"}
 )
+RAW_SUFFIXES = frozenset(
+    {".dng", ".nef", ".cr2", ".cr3", ".arw", ".raf", ".orf", ".rw2", ".pef", ".srw", ".3fr", ".iiq", ".nrw", ".kdc", ".dcr",
+     ".crw", ".mrw", ".mef", ".mos", ".erf", ".rwl", ".sr2", ".srf", ".fff", ".x3f", ".gpr"}
+)  # fmt: skip
 IMAGE_SUFFIXES = FLOAT_SUFFIXES | PHOTO_SUFFIXES | RAW_SUFFIXES
 VIDEO = "a video is compressed and tone-mapped; export its frames as images"
 TONE_MAPPED = "is tone-mapped or compressed for the eye; export 16-bit TIFF or shoot DNG"
 REWRITE = "is not read; write the same pixels as PNG or TIFF (lossless)"
-FORMATS = {
+UNREADABLE = {
     ".r3d": "RED R3D files need RED's own decoder; export them as linear EXR (REDCINE-X, DaVinci Resolve)",
     ".braw": "Blackmagic RAW needs its own decoder; export it as linear EXR (DaVinci Resolve)",
     ".heic": "HEIC photographs are tone-mapped; export 16-bit TIFF or shoot DNG",
     ".heif": "HEIF photographs are tone-mapped; export 16-bit TIFF or shoot DNG",
+    ".psd": "layers of a Photoshop file are no photograph; save it flattened as 16-bit TIFF",
+    ".gif": "GIF keeps 256 colours; export 16-bit TIFF or PNG",
     **dict.fromkeys((".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v", ".mts"), VIDEO),
-    **{s: f"{s[1:].upper()} {TONE_MAPPED}" for s in (".webp", ".avif", ".jxl", ".gif")},
-    **{s: f"{s[1:].upper()} {REWRITE}" for s in (".bmp", ".tga", ".pgm", ".ppm", ".pnm", ".pfm", ".jp2", ".psd", ".dpx")},
+    **{s: f"{s[1:].upper()} {TONE_MAPPED}" for s in (".avif", ".jxl")},
+    **{s: f"{s[1:].upper()} {REWRITE}" for s in (".jp2", ".dpx")},
 }
-UNREADABLE = {suffix: way for suffix, way in FORMATS.items() if suffix not in IMAGE_SUFFIXES}
 """Kinds of pictures that nobody here reads, with the way out of each."""
-DUMPS = frozenset({".raw", ".bin", ".dat", ".npy", ".mat", ".bayer", ".yuv", ".fit", ".fits"})
+DUMPS = frozenset({".bin", ".dat", ".mat", ".bayer", ".yuv", ".fit", ".fits"})
 """Samples without a header that says what they are, or arrays: pictures where they lie in an image folder."""
 MASK_FOLDERS = ("masks", "mask")
 IMAGE_FOLDERS = ("images", "images_full", "image", "raw", "photos")
@@ -41,8 +45,9 @@ UNDISTORTED = frozenset({"dense", "undistorted"})
 
 
 def list_images(folder: Path, suffixes: Iterable[str] = IMAGE_SUFFIXES) -> list[Path]:
-    """Image files below `folder`, sorted by path. Raises UserError naming the way out of formats nobody can read."""
-    wanted, found, foreign = set(suffixes), [], []
+    """Image files below `folder`, sorted by path; arrays and bare samples where there are no others. Raises UserError naming
+    the way out of formats nobody can read."""
+    wanted, found, foreign, bare = set(suffixes), [], [], []
     for where, folders, names in os.walk(folder):
         folders[:] = sorted(f for f in folders if not f.startswith("."))
         for name in names:
@@ -53,6 +58,9 @@ def list_images(folder: Path, suffixes: Iterable[str] = IMAGE_SUFFIXES) -> list[
                 found.append(Path(where) / name)
             elif suffix in UNREADABLE:
                 foreign.append(Path(where) / name)
+            elif suffix in ARRAY_SUFFIXES and wanted == IMAGE_SUFFIXES:
+                bare.append(Path(where) / name)
+    found = found or bare
     if foreign and not found:
         raise UserError(sorted(foreign)[0], "cannot be read", UNREADABLE[sorted(foreign)[0].suffix.lower()])
     return sorted(found)
@@ -61,6 +69,7 @@ def list_images(folder: Path, suffixes: Iterable[str] = IMAGE_SUFFIXES) -> list[
 def has_images(folder: Path, suffixes: Iterable[str] = IMAGE_SUFFIXES) -> bool:
     """Whether any image lies anywhere below `folder`."""
     wanted = set(suffixes) | set(UNREADABLE)
+    wanted |= ARRAY_SUFFIXES if set(suffixes) == IMAGE_SUFFIXES else frozenset()
     return folder.is_dir() and any(
         Path(name).suffix.lower() in wanted for _, _, names in os.walk(folder) for name in names if not name.startswith(".")
     )

@@ -12,6 +12,7 @@ import numpy as np
 
 from pipeline.capture.config import CaptureConfig
 from pipeline.errors import UserError
+from pipeline.formats.image_parts import Page
 
 ANGLE = re.compile(
     r"^(?P<view>.+?)[_\-. ]?(?:pol|lp|angle|ang|deg|a|p)?[_\-]?(?P<angle>\d{1,3}(?:[.]\d+)?)(?:deg|°)?$", re.IGNORECASE
@@ -28,11 +29,13 @@ MIN_STEP_DEG = 5.0
 
 @dataclass(frozen=True)
 class Exposure:
-    """One file of a bracket: seconds if the name says so, else stops relative to the others (None: EXIF decides)."""
+    """One file of a bracket: seconds if the name says so, else stops relative to the others (None: EXIF decides);
+    `page`: which image of a file that holds several."""
 
     path: Path
     seconds: float | None = None
     stops: float | None = None
+    page: Page | None = None
 
 
 @dataclass(frozen=True)
@@ -44,7 +47,7 @@ class Group:
 
     @property
     def paths(self) -> tuple[Path, ...]:
-        return tuple(e.path for exposures in self.angles.values() for e in exposures)
+        return tuple(dict.fromkeys(e.path for exposures in self.angles.values() for e in exposures))
 
     @property
     def is_stack(self) -> bool:
@@ -116,7 +119,7 @@ def _told_angles(exposures: Mapping[str, list[Exposure]], config: CaptureConfig)
             missed.append(found[0].path.name)
         else:
             used.add(ending)
-            out[base] = (base[: -len(ending)].rstrip("_-/ ") or "view", _turned(told[ending], config))
+            out[base] = (base[: -len(ending)].rstrip("_-/ ") or "view", turned(told[ending], config))
     idle = [repr(s) for s in told if s not in used]
     if not out:
         fault = f"stack.angles_deg: none of the {len(missed)} images ends in {', '.join(idle)} (first: {sorted(missed)[0]})"
@@ -141,7 +144,7 @@ def _angles(
     for split in parsed:
         sure = {b: s for b, s in split.items() if s is not None}
         if len(sure) == len(split) and _plausible(sure):
-            return {b: (v, _turned(a, config)) for b, (v, a) in sure.items()}
+            return {b: (v, turned(a, config)) for b, (v, a) in sure.items()}
     for split in parsed:
         part = _stack_part({b: s for b, s in split.items() if s is not None})
         rest = [base for base in bases if base not in part]
@@ -153,7 +156,7 @@ def _angles(
             names = _first(sorted(exposures[b][0].path.name for b in apart))
             fault = f"{len(part)} files make angle stacks, {len(apart)} do not ({names})"
             raise UserError(exposures[apart[0]][0].path.parent, fault, "move the ones that are no part of a stack away")
-        return {b: (v, _turned(a, config)) for b, (v, a) in part.items()}
+        return {b: (v, turned(a, config)) for b, (v, a) in part.items()}
     return None
 
 
@@ -218,6 +221,6 @@ def _plausible(split: Mapping[str, tuple[str, float]]) -> bool:
     return bool(steps.min() >= MIN_STEP_DEG) and (len(by_view) > 1 or most in USUAL)
 
 
-def _turned(angle: float, config: CaptureConfig) -> float:
+def turned(angle: float, config: CaptureConfig) -> float:
     """The file's angle as ours: counter-clockwise from the image's x axis."""
     return (-angle if config.stack.clockwise else angle) + config.stack.zero_deg

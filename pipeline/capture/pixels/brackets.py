@@ -11,21 +11,24 @@ from pipeline.capture.config import RadiometryConfig
 from pipeline.capture.naming.grouping import Exposure
 from pipeline.capture.pixels.linear import read_linear
 from pipeline.capture.pixels.linear_image import LinearImage
+from pipeline.capture.radiometry.exposure import seconds_told
 from pipeline.errors import UserError
 
 READ_NOISE = 2e-3
 """Of the white level: a sensor's read noise, which decides the weights in the dark (8 of 4096 codes)."""
 
 
-def read_exposures(exposures: Sequence[Exposure], radiometry: RadiometryConfig, sensor_data: bool = False) -> LinearImage:
-    """One view's exposures as one linear image: a single file as it is, several merged per second of exposure.
+def read_exposures(
+    exposures: Sequence[Exposure], radiometry: RadiometryConfig, sensor_data: bool = False, view: str | None = None
+) -> LinearImage:
+    """One `view`'s exposures as one linear image: a single file as it is, several merged per second of exposure.
 
     Raises UserError where a file's exposure is not told by name, EXIF or capture.toml, or sizes differ.
     """
-    images = [read_linear(e.path, radiometry, sensor_data) for e in exposures]
-    told = [_seconds(e, image, radiometry) for e, image in zip(exposures, images)]
+    images = [read_linear(e.path, radiometry, sensor_data, e.page) for e in exposures]
+    told = [_seconds(e, image, radiometry, view) for e, image in zip(exposures, images)]
     if len(images) == 1:
-        image, seconds = images[0], radiometry.exposure_s.get(exposures[0].path.stem)
+        image, seconds = images[0], seconds_told(exposures[0].path, view, radiometry.exposure_s)
         if seconds:
             image.pixels /= np.float32(seconds)
         return image
@@ -39,7 +42,7 @@ def read_exposures(exposures: Sequence[Exposure], radiometry: RadiometryConfig, 
             raise UserError(e.path, "its exposure is unknown", "name it _ev+1 or _exp0.01, or tell radiometry.exposure_s")
     times = [float(s) for s in told if s is not None]
     pixels, lost = merge_exposures([i.pixels for i in images], [i.saturated for i in images], times)
-    return LinearImage(pixels, first.names, lost, first.bits, first.orientation, None, first.encoding)
+    return LinearImage(pixels, first.names, lost, first.bits, first.orientation, None, first.encoding, first.frame)
 
 
 def merge_exposures(
@@ -63,8 +66,8 @@ def merge_exposures(
     return merged.astype(np.float32), lost
 
 
-def _seconds(exposure: Exposure, image: LinearImage, radiometry: RadiometryConfig) -> float | None:
-    told = radiometry.exposure_s.get(exposure.path.stem)
+def _seconds(exposure: Exposure, image: LinearImage, radiometry: RadiometryConfig, view: str | None) -> float | None:
+    told = seconds_told(exposure.path, None if radiometry.exposure_s.get(view or "") is None else view, radiometry.exposure_s)
     if told is not None:
         return told
     if exposure.seconds is not None:

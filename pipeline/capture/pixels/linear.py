@@ -14,19 +14,23 @@ from pipeline.capture.pixels.frame_memory import frame_array
 from pipeline.capture.pixels.linear_image import LinearImage
 from pipeline.capture.pixels.row_bands import ROWS, LinearReader
 from pipeline.errors import UserError
+from pipeline.formats.image_parts import Page
 
 
-def read_linear(path: Path, radiometry: RadiometryConfig, sensor_data: bool = False) -> LinearImage:
+def read_linear(
+    path: Path, radiometry: RadiometryConfig, sensor_data: bool = False, page: Page | None = None
+) -> LinearImage:
     """Read any image file as linear radiance, float32 in the file's own orientation (EXIF rotation is not applied).
 
     8-bit files are sRGB unless `sensor_data` (a mosaic straight from the sensor) or capture.toml says linear; 16-bit
-    and float files are linear. Levels of capture.toml (`black_level`, `white_level`) map to 0 and 1. Raises UserError.
+    and float files are linear. Levels of capture.toml (`black_level`, `white_level`) map to 0 and 1. `page`: one image of a
+    file that holds several. Raises UserError.
     """
     if path.suffix.lower() in RAW_SUFFIXES:
         from pipeline.capture.pixels.raw import read_raw_rgb
 
         return calibrated(read_raw_rgb(path, radiometry), path, radiometry)
-    reader = LinearReader(path, radiometry, sensor_data)
+    reader = LinearReader(path, radiometry, sensor_data, page)
     width, height = reader.size
     pixels = frame_array((height, width, len(reader.names)))
     saturated = np.empty((height, width), bool)
@@ -36,12 +40,16 @@ def read_linear(path: Path, radiometry: RadiometryConfig, sensor_data: bool = Fa
             reader.fill(start, stop, pixels[start:stop], saturated[start:stop])
     finally:
         reader.close()
-    linear = LinearImage(pixels, reader.names, saturated, reader.bits, reader.orientation, reader.exposure_s, reader.encoding)
+    facts = (reader.bits, reader.orientation, reader.exposure_s, reader.encoding, reader.frame)
+    linear = LinearImage(pixels, reader.names, saturated, *facts)
     return calibrated(linear, path, radiometry)
 
 
 def calibrated(image: LinearImage, path: Path, radiometry: RadiometryConfig) -> LinearImage:
-    """Less the dark frame, over the flat field (whose mean is kept), in place. Raises UserError on other sizes."""
+    """Less the dark frame, over the flat field (whose mean is kept), at the usual exposure where the file's differs; in place.
+    Raises UserError on other sizes."""
+    from pipeline.capture.radiometry.of_file import factor_of
+
     colour = [i for i, name in enumerate(image.names) if name.lower() != "a"]
     bare = replace(radiometry, dark_frame=None, flat_field=None)
     dark: NDArray[np.float32] | np.float32 = np.float32(0)
@@ -57,6 +65,8 @@ def calibrated(image: LinearImage, path: Path, radiometry: RadiometryConfig) -> 
                 "expose it brighter, or give its dark frame",
             )
         image.pixels[..., colour] /= flat / flat.mean((0, 1))
+    if (factor := factor_of(radiometry, path)) != 1:
+        image.pixels[..., colour] *= np.float32(factor)
     return image
 
 

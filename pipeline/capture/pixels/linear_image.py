@@ -10,11 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import UserError
+from pipeline.formats.exr_frame import ExrFrame
 
 
 @dataclass
 class LinearImage:
-    """Linear pixels [H, W, C] float32 with their channel names; saturated [H, W]; orientation is EXIF's (1 upright)."""
+    """Linear pixels [H, W, C] float32 with their channel names; saturated [H, W]; orientation is EXIF's (1 upright);
+    frame: of an EXR, what became of its windows and primaries."""
 
     pixels: NDArray[np.float32]
     names: tuple[str, ...]
@@ -23,6 +25,7 @@ class LinearImage:
     orientation: int = 1
     exposure_s: float | None = None
     encoding: str = "linear"
+    frame: ExrFrame | None = None
 
     def channels(self, wanted: Sequence[str], path: Path) -> NDArray[np.float32]:
         """The named channels [H, W, len(wanted)], case ignored. Raises UserError naming what the file has."""

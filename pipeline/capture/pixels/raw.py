@@ -51,8 +51,8 @@ def read_raw_mosaic(path: Path, radiometry: RadiometryConfig) -> tuple[NDArray[n
     return linear.astype(np.float32), saturated
 
 
-def _opened(path: Path) -> Any:
-    """An open rawpy image whose samples are known to be readable. Raises UserError naming what is wrong."""
+def _opened(path: Path, samples: bool = True) -> Any:
+    """An open rawpy image whose `samples` are known to be readable. Raises UserError naming what is wrong."""
     import rawpy
 
     if not path.is_file():
@@ -67,6 +67,8 @@ def _opened(path: Path) -> Any:
         raise UserError(path, "is no raw file that LibRaw knows", "convert it to DNG, or export linear 16-bit TIFF") from None
     except rawpy.LibRawError as error:
         raise UserError(path, f"the raw file is truncated or corrupt ({_words(error)})", "copy it again") from None
+    if not samples:
+        return raw
     try:
         raw.raw_image  # noqa: B018 - truncated data shows only here
     except rawpy.LibRawError as error:
@@ -122,3 +124,10 @@ def raw_preview(path: Path) -> NDArray[np.float32]:
     if picture is None or picture.ndim != 3:
         raise UserError(path, "holds no preview that can be read", "export it as linear 16-bit TIFF")
     return picture.astype(np.float32) / np.float32(255)
+
+
+def raw_exposure(path: Path) -> tuple[float | None, float | None, float | None]:
+    """(seconds, ISO speed, f-number) from the header; None for what it does not tell. Raises UserError."""
+    with _opened(path, samples=False) as raw:
+        other = raw.other
+        return float(other.shutter_speed or 0) or None, float(other.iso_speed or 0) or None, float(other.aperture or 0) or None

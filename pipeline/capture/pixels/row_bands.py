@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 from pipeline.capture.config import RadiometryConfig
 from pipeline.capture.naming.files import FLOAT_SUFFIXES
 from pipeline.errors import UserError
+from pipeline.formats.exr_frame import exr_frame
 from pipeline.formats.exr_zip import open_zip_exr
-from pipeline.formats.images import _first_line, _open, srgb_decode
+from pipeline.formats.image_parts import Page
+from pipeline.formats.images import first_line, open_image, srgb_decode
 
 ROWS = 32
 """Two of EXR's zip blocks: a band of nine half floats 4000 pixels wide is 2.3 MB."""
@@ -26,17 +28,23 @@ class LinearReader:
     names, size (width, height), bits (0: float), orientation (EXIF's), exposure_s and encoding are the file's.
     """
 
-    def __init__(self, path: Path, radiometry: RadiometryConfig, sensor_data: bool = False) -> None:
-        """Raises UserError where the file is not there, empty or no image."""
+    def __init__(
+        self, path: Path, radiometry: RadiometryConfig, sensor_data: bool = False, page: Page | None = None
+    ) -> None:
+        """Raises UserError where the file is not there, empty or no image, or holds several and none is chosen (`page`)."""
+        from pipeline.capture.radiometry.of_file import for_file
+
+        radiometry = for_file(radiometry, path)
         self.path, self.radiometry = path, radiometry
-        self._image = _open(path)
+        self._image = open_image(path, page, unassociated=page is not None, plain=True)
         spec = self._image.spec()
         self.bits = {"uint8": 8, "uint16": 16, "uint32": 32}.get(str(spec.format), 0)
         if self.bits and "A" in spec.channelnames:
             self._image.close()
-            self._image = _open_unassociated(path)
+            self._image = open_image(path, page, unassociated=True, plain=True)
         self.names = tuple(spec.channelnames)
-        self.size = (spec.width, spec.height)
+        self.frame = exr_frame(spec, path)
+        self.size = self.frame.size
         self.orientation = int(spec.get_int_attribute("Orientation", 1)) if path.suffix.lower() != ".hdr" else 1
         self.exposure_s = float(spec.get_float_attribute("ExposureTime", 0.0)) or None
         self.encoding = radiometry.encoding or ("srgb" if self.bits == 8 and not sensor_data else "linear")
@@ -45,7 +53,7 @@ class LinearReader:
         half = str(spec.format) == "half" and all(str(f) == "half" for f in spec.channelformats)
         self._kind = f"uint{self.bits}" if self.bits in (8, 16) else "half" if half else "float"
         self._zip = open_zip_exr(path) if path.suffix.lower() == ".exr" else None
-        if self._zip is not None and (set(self._zip.names), self._zip.size) != (set(self.names), self.size):
+        if self._zip is not None and (set(self._zip.layout.names), self._zip.layout.size) != (set(self.names), self.size):
             self._zip.file.close()  # names that OpenImageIO had to change, as one that stands twice
             self._zip = None
         self._alpha = next((i for i, name in enumerate(self.names) if name == "A"), -1)
@@ -64,7 +72,7 @@ class LinearReader:
         from pipeline.formats.sample_kernels import look_up, mark_at_least, widen_halves
 
         if self._zip is not None:
-            place = np.array([self.names.index(name) for name in self._zip.names])
+            place = np.array([self.names.index(name) for name in self._zip.layout.names])
             if not self._zip.read(start, stop, place, out):
                 raise self._damage("a chunk cannot be inflated")
             self._level(out, saturated)
@@ -82,6 +90,7 @@ class LinearReader:
         else:
             out[...] = band
         self._level(out, saturated)
+        self.frame.recoloured(out, self.names)
 
     def _level(self, out: NDArray[np.float32], saturated: NDArray[np.bool_]) -> None:
         apply_levels(out, saturated, self.names, self.bits, self.radiometry, self.encoding)
@@ -89,7 +98,19 @@ class LinearReader:
             out[...] = srgb_decode(out)
 
     def _rows(self, start: int, stop: int) -> NDArray[Any]:
-        width, height = self.size
+        """Rows of the picture: black where the file stores no pixel."""
+        if self.frame.size == self.frame.stored and self.frame.corner == (0, 0):
+            return self._stored_rows(start, stop)
+        rows, columns, down, across = self.frame.part(start, stop)
+        stored = self._stored_rows(rows.start, rows.stop) if rows.stop > rows.start else None
+        kinds = {"half": np.float16, "float": np.float32, "uint8": np.uint8, "uint16": np.uint16}
+        out = np.zeros((stop - start, self.size[0], len(self.names)), kinds[self._kind])
+        if stored is not None:
+            out[down, across] = stored[:, columns]
+        return out
+
+    def _stored_rows(self, start: int, stop: int) -> NDArray[Any]:
+        width, height = self.frame.stored
         if self._tiled:
             if self._whole is None:
                 self._whole = self._checked(self._image.read_image(self._kind)).reshape(height, width, -1)
@@ -99,20 +120,11 @@ class LinearReader:
 
     def _checked(self, samples: Any) -> NDArray[Any]:
         if samples is None:
-            raise self._damage(_first_line(self._image.geterror()))
+            raise self._damage(first_line(self._image.geterror()))
         return np.asarray(samples)
 
     def _damage(self, reason: str) -> UserError:
         return UserError(self.path, f"the image is truncated or corrupt ({reason})", "copy it again from its source")
-
-
-def _open_unassociated(path: Path) -> Any:
-    """Open with alpha not multiplied into colour, as PNG stores it."""
-    import OpenImageIO as oiio
-
-    config = oiio.ImageSpec()
-    config.attribute("oiio:UnassociatedAlpha", 1)
-    return oiio.ImageInput.open(str(path), config)
 
 
 def code_table(bits: int, radiometry: RadiometryConfig, encoding: str) -> tuple[NDArray[np.float32], int]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,10 @@ from pipeline.capture.model import DecodedView
 from pipeline.capture.pixels.linear import fill_holes, read_linear
 from pipeline.capture.pixels.linear_image import LinearImage
 from pipeline.capture.pixels.stokes_frame import apply_stokes_config
+from pipeline.capture.radiometry.exposure import seconds_told
+from pipeline.capture.radiometry.of_file import factor_of
 from pipeline.errors import UserError
+from pipeline.formats.exr_frame import primaries_remark
 from pipeline.formats.images import STOKES
 
 GREY_STOKES = (("S0.Y", "S1.Y", "S2.Y"), ("S0", "S1", "S2"))
@@ -37,13 +40,18 @@ def stokes_of(image: LinearImage, path: Path) -> NDArray[np.float32]:
     return flat.reshape(*flat.shape[:2], 3, 3)
 
 
-def stokes_exr_loader(path: Path, config: CaptureConfig) -> Callable[[], DecodedView]:
-    """A loader of one Stokes EXR."""
+def stokes_exr_loader(path: Path, config: CaptureConfig, view_name: str | None = None) -> Callable[[], DecodedView]:
+    """A loader of one Stokes EXR (`view_name`: its VIEW)."""
 
     def load() -> DecodedView:
         image = read_linear(path, replace(config.radiometry, encoding="linear"))
         stokes = apply_stokes_config(stokes_of(image, path), config.stokes)
+        if seconds := seconds_told(path, view_name, config.radiometry.exposure_s):
+            stokes /= np.float32(seconds)
+        if config.radiometry.white_balance:
+            stokes *= np.asarray(config.radiometry.white_balance, np.float32)
         view = finished(DecodedView(stokes=stokes, saturated=image.saturated, alpha=image.alpha), path)
+        view.faults |= primaries_remark(image.frame)
         if config.stokes == StokesConfig() and is_verbatim(view, image, path, STOKES, config):
             view.verbatim = path
         return view
@@ -53,11 +61,14 @@ def stokes_exr_loader(path: Path, config: CaptureConfig) -> Callable[[], Decoded
 
 def is_verbatim(view: DecodedView, image: LinearImage, path: Path, names: tuple[str, ...], config: CaptureConfig) -> bool:
     """Whether an EXR file already is what decode would write of it: these channels, as they are."""
-    radiometry = replace(config.radiometry, encoding=None, saturation=None)
+    told = {f.name: getattr(config.radiometry, f.name) for f in fields(RadiometryConfig)}
+    radiometry = RadiometryConfig(**(told | {"encoding": None, "saturation": None, "exif_exposure": None}))
     return (
         path.suffix.lower() == ".exr"
         and set(names) <= set(image.names)
+        and (image.frame is None or image.frame.is_plain)
         and radiometry == RadiometryConfig()
+        and factor_of(config.radiometry, path) == 1
         and not view.faults
     )
 
@@ -82,6 +93,8 @@ def finished(view: DecodedView, path: Path, image: LinearImage | None = None, wh
         assert pixels is not None
         view.saturated, faults = mended(pixels, view.saturated, path)
         view.faults |= faults
+    if image is not None:
+        view.faults |= primaries_remark(image.frame)
     if image is not None and image.orientation != 1:
         view.faults[f"EXIF rotation {image.orientation} is not applied: frames stay as the sensor saw them"] = 0
     if image is not None and image.bits == 8:

@@ -7,6 +7,10 @@ from numpy.typing import NDArray
 
 from pipeline.capture.config import StokesConfig
 
+FROM_SUMS = np.float32(0.5)
+"""Radiance of files that hold sums of two crossed exposures: twice the radiance behind an unpolarised lens."""
+FROM_SUMS_FACT = "files hold twice the radiance: halved"
+
 
 def apply_stokes_config(stokes: NDArray[np.float32], config: StokesConfig) -> NDArray[np.float32]:
     """Scale, flip s2, then turn the reference axis: [H, W, 3, 3] in, the same shape out (in place where it can be).

@@ -6,7 +6,7 @@ from collections import defaultdict
 from pathlib import Path
 
 from pipeline.capture.model import Capture
-from pipeline.capture.naming.files import DUMPS, FORMATS, IMAGE_FOLDERS, IMAGE_SUFFIXES, UNREADABLE, some
+from pipeline.capture.naming.files import DUMPS, IMAGE_FOLDERS, IMAGE_SUFFIXES, UNREADABLE, some
 from pipeline.errors import UserError
 
 MOST_LOOKED_AT = 20_000
@@ -42,11 +42,11 @@ def refuse_unreadable(root: Path) -> None:
         if path.name.startswith(".") or suffix in IMAGE_SUFFIXES or not path.is_file():
             continue
         dump = suffix in DUMPS and (path.parent == root or path.relative_to(root).parts[0] in IMAGE_FOLDERS)
-        if suffix in FORMATS or dump:
+        if suffix in UNREADABLE or dump:
             found[suffix].append(path)
     if not found:
         return
     suffix, files = max(found.items(), key=lambda item: len(item[1]))
     files.sort()
-    way = FORMATS.get(suffix, "write the samples as 16-bit PNG or TIFF, one file a picture (lossless)")
+    way = UNREADABLE.get(suffix, "write the samples as 16-bit PNG or TIFF, one file a picture (lossless)")
     raise UserError(files[0], f"{suffix} files are not read, and there are no other images ({len(files)} of them)", way)

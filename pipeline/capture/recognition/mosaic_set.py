@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pipeline.capture.config import CaptureConfig, MosaicConfig
-from pipeline.capture.mosaic.sensor_files import CARRIER_SHARE, carriers_seen
+from pipeline.capture.mosaic.sensor_files import CARRIER_SHARE, carriers_seen, single_plane
 from pipeline.capture.naming.files import FLOAT_SUFFIXES, RAW_SUFFIXES, some
 from pipeline.errors import UserError
-from pipeline.formats.images import channel_names, image_size, read_stored
+from pipeline.formats.images import channel_names, image_size
 
 CLEARLY_NONE = CARRIER_SHARE / 4
 """Twice what textured photographs and grey pictures show at most; mosaics show 0.12 and more."""
@@ -62,7 +62,8 @@ def _kind(path: Path) -> tuple[str, int]:
     suffix = path.suffix.lower()
     if suffix in RAW_SUFFIXES:
         return "raw", 1
-    return "float" if suffix in FLOAT_SUFFIXES else "codes", len([n for n in channel_names(path) if n.lower() != "a"])
+    colours = [name for name in channel_names(path, plain=True) if name.lower() != "a"]
+    return "float" if suffix in FLOAT_SUFFIXES else "codes", len(colours)
 
 
 def _may_hold(kind: tuple[str, int], files: list[Path], told: bool) -> bool:
@@ -70,13 +71,7 @@ def _may_hold(kind: tuple[str, int], files: list[Path], told: bool) -> bool:
     family, channels = kind
     if family != "codes" and not told:
         return False
-    return channels == 1 or all(_grey(p) for p in (files[0], files[len(files) // 2], files[-1]))
-
-
-def _grey(path: Path) -> bool:
-    pixels, names, _ = read_stored(path)
-    colours = [i for i, name in enumerate(names) if name.lower() != "a"]
-    return all((pixels[..., colours[0]] == pixels[..., i]).all() for i in colours[1:])
+    return channels == 1 or all(single_plane(p) for p in (files[0], files[len(files) // 2], files[-1]))
 
 
 def _carrying(files: list[Path], config: CaptureConfig) -> list[Path]:

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
+from dataclasses import fields
 
-from pipeline.capture.config import MosaicConfig, OlatConfig, StackConfig
+from pipeline.capture.config import MosaicConfig, OlatConfig, RadiometryConfig, RawConfig, StackConfig
 from pipeline.capture.model import Capture
 from pipeline.capture.naming.files import some
 from pipeline.errors import UserError
+
+ARRAYS = frozenset({"rmvp3d", "smvp3d"})
+"""Layouts of NumPy files that hold Stokes vectors in radiance."""
 
 
 def refuse_idle_tables(capture: Capture) -> None:
@@ -25,17 +29,20 @@ def refuse_idle_tables(capture: Capture) -> None:
     views = {v.view for v in capture.views}
     pair = [name for name in config.poses.scale_pair or () if name not in views]
     if pair:
-        raise UserError(config.path, f"poses.scale_pair: there is no view {some(pair)}", _nearest(pair[0], views))
+        raise UserError(config.path, f"poses.scale_pair: no view is called {some(map(repr, pair))}", _nearest(pair[0], views))
     if config.mosaic != MosaicConfig() and not _fact(capture, "polariser mosaic"):
         fault = f"[mosaic] is told, but the images were understood as {_kind(capture)}"
         raise UserError(config.path, fault, "give the sensor's single-channel files, or take the table out")
     if config.stack != StackConfig() and not _fact(capture, "stacks behind"):
         fault = f"[stack] is told, but the images were understood as {_kind(capture)}"
         raise UserError(config.path, fault, "name the angle of each file, or take the table out")
+    if config.raw != RawConfig() and not any(p.suffix.lower() == ".raw" for v in capture.views for p in v.paths):
+        raise UserError(config.path, "[raw] is told, but no image is a .raw file of bare samples", "take the table out")
     if config.olat != OlatConfig() and capture.light_stage is None:
         fault = f"[olat] is told, but the capture was understood as {_kind(capture)}, no light stage"
         raise UserError(config.path, fault, "put the frames into camNN/cross and camNN/parallel, or take the table out")
     _refuse_idle_polarisers(capture)
+    _refuse_idle_radiometry(capture)
     plate = config.clean_plate
     if plate is not None and not (capture.root / plate).exists():
         raise UserError(config.path, f"clean_plate: there is no {plate}", "give its path relative to the capture")
@@ -52,13 +59,30 @@ def _refuse_idle_polarisers(capture: Capture) -> None:
         raise UserError(capture.config.path or capture.root, fault, f"the cameras are {', '.join(sorted(cameras))}")
 
 
+def _refuse_idle_radiometry(capture: Capture) -> None:
+    """Raise UserError where capture.toml names a dark frame or flat field that is not there, or that nothing would use."""
+    radiometry = capture.config.radiometry
+    toml = capture.config.path or capture.root / "capture.toml"
+    if capture.layout in ARRAYS and radiometry != RadiometryConfig():
+        told = [f.name for f in fields(radiometry) if getattr(radiometry, f.name) != getattr(RadiometryConfig(), f.name)]
+        raise UserError(toml, f"radiometry.{told[0]} is not used: {capture.layout} files hold Stokes vectors", "take it out")
+    below = {p.parent for view in capture.views for p in view.paths} | {capture.root}
+    folders = {f for folder in below for f in (folder, *folder.parents) if f.is_relative_to(capture.root)}
+    for key in ("dark_frame", "flat_field"):
+        name = getattr(radiometry, key)
+        if name is not None and not any((folder / name).is_file() for folder in folders):
+            raise UserError(toml, f"radiometry.{key} = {name!r} is not there", "give its path relative to the capture")
+
+
 def _names(capture: Capture) -> set[str]:
     """Whatever a key may call a picture: VIEW, file stem, or its camera; a light stage's frames, passes and cameras."""
-    out = {v.view for v in capture.views} | {p.stem for v in capture.views for p in v.paths}
+    out = {v.view for v in capture.views} | {name for v in capture.views for p in v.paths for name in (p.stem, p.name)}
     if capture.light_stage is not None:
         for camera in capture.light_stage.cameras.values():
             out |= {camera.name, "cross", "parallel", f"{camera.name}/cross", f"{camera.name}/parallel"}
-            out |= {p.stem for p in (*camera.cross, *camera.parallel, *camera.full_light)}
+            for which, frames in (("cross", camera.cross), ("parallel", camera.parallel)):
+                named = {f"{camera.name}/{which}/{p.stem}" for p in frames}
+                out |= named | {n.replace("/", "_") for n in named} | {n for p in frames for n in (p.stem, p.name)}
     return out
 
 

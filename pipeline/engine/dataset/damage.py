@@ -14,8 +14,9 @@ from pipeline.engine.dataset.directory import Dataset
 from pipeline.engine.dataset.documents import read_object, seal_fits
 from pipeline.engine.dataset.in_use import LINK, in_use_text
 from pipeline.engine.dataset.verified import Verified
-from pipeline.engine.dataset.versions import MANIFEST, Version, content_key
+from pipeline.engine.dataset.versions import Version, content_key
 from pipeline.errors import UserError
+from pipeline.formats.dataset_files import MANIFEST
 
 READERS = 4
 

@@ -16,8 +16,9 @@ from pipeline.engine.dataset.in_use import LINK, InUse
 from pipeline.engine.dataset.leftovers import clear_leftovers
 from pipeline.engine.dataset.links import holds_what_no_run_leaves, refuse_links
 from pipeline.engine.dataset.locks import open_lock
-from pipeline.engine.dataset.versions import KEY, MANIFEST, Version, is_whole, read_version
+from pipeline.engine.dataset.versions import KEY, Version, is_whole, read_version
 from pipeline.errors import UserError
+from pipeline.formats.dataset_files import MANIFEST
 
 
 class Dataset:
@@ -32,6 +33,11 @@ class Dataset:
         self.root = root
         self.digests = DigestCache(root / ".work" / "digests.json")
         self.in_use_table = InUse(root)
+
+    @classmethod
+    def holding(cls, version: Path) -> Dataset:
+        """The dataset that a version's folder (or a stage's `current`) lies in."""
+        return cls(Path(os.path.abspath(version)).parents[1])
 
     # -- finding ---------------------------------------------------------------------------------------------------
 

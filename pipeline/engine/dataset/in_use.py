@@ -15,7 +15,8 @@ from pathlib import Path
 from pipeline.engine.dataset.documents import read_object, sync, write_whole
 from pipeline.engine.dataset.links import refuse_links
 from pipeline.engine.dataset.locks import open_lock
-from pipeline.engine.dataset.versions import KEY, MANIFEST, is_whole, read_version
+from pipeline.engine.dataset.versions import KEY, is_whole, read_version
+from pipeline.formats.dataset_files import MANIFEST
 
 FILE, LINK = "in_use.json", "current"
 SCHEMA = 1

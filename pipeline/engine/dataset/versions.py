@@ -10,8 +10,8 @@ from typing import Any
 
 from pipeline.engine.dataset.digests import digest_json
 from pipeline.engine.dataset.documents import read_object
+from pipeline.formats.dataset_files import MANIFEST
 
-MANIFEST = "manifest.json"
 KEY = re.compile(r"[0-9a-f]{16}")
 
 

@@ -13,24 +13,51 @@ from pipeline.capture import LightStage, LightStageCamera
 from pipeline.capture.naming.files import some
 from pipeline.engine.stage import StageRun
 from pipeline.errors import UserError
-from pipeline.formats.images import read_image
-from pipeline.geometry.cameras import opengl_from_camera
+from pipeline.formats.exr_frame import primaries_remark
+from pipeline.formats.images import picture_frame, read_image, read_stored
+from pipeline.geometry.cameras import frame_of
+from pipeline.rig.frame_files import IN_DECODE
+from stages.calib.decode.linear_stage_frames import LinearFrames, radiometry_of, write_linear
 from stages.calib.decode.plateau import PlateauSearch
 
 BATCH = 8
 
 
 def index_light_stage(stage: StageRun) -> None:
-    """Write olat.json; every frame is read once, for its size, bad samples and the clip level."""
+    """Write olat.json; every frame is read once, for its size, bad samples and the clip level, and written anew where it is
+    not linear as it lies. Raises UserError."""
     light_stage = stage.capture.light_stage
     assert light_stage is not None
-    root = stage.capture.root
+    radiometry = radiometry_of(stage, light_stage)
+    frames = _looked_at(stage, light_stage) if radiometry is None else write_linear(stage, light_stage, radiometry)
+    for first in (camera.cross[0] for camera in light_stage.cameras.values()):
+        for fault in primaries_remark(picture_frame(first)) if first.suffix.lower() == ".exr" else ():
+            stage.warn(f"{first}: {fault}")
+    tops, bad = frames.tops, frames.bad
+    if bad:
+        worst = sorted(bad)[0]
+        stage.warn(f"{worst}: {sum(bad.values())} samples in {len(bad)} frames are not finite; the fit leaves them out")
+    black = [p for p, top in tops.items() if not top > 0]
+    if len(black) == len(tops):
+        raise UserError(stage.capture.root, "every light-stage frame is black", "check the export")
+    if black:
+        stage.warn(f"{sorted(black)[0]}: {len(black)} frames are black ({some(p.name for p in sorted(black))})")
+    stage.note("saturated_frames", frames.clipped_frames)
+    table = _table(light_stage, stage.capture.root, frames)
+    (stage.output / "olat.json").write_text(json.dumps(table, indent=1) + "\n")
+
+
+def _looked_at(stage: StageRun, light_stage: LightStage) -> LinearFrames:
+    """What is to be known of frames that stay where they are."""
     frames = [(camera, path) for camera in light_stage.cameras.values() for path in (*camera.cross, *camera.parallel)]
     search, tops, bad = PlateauSearch(), {}, {}
 
     def look(item: tuple[LightStageCamera, Path]) -> tuple[Path, np.ndarray, int]:
         camera, path = item
-        pixels = read_image(path)
+        pixels, names, _ = read_stored(path, plain=True)
+        lower = [name.lower() for name in names]
+        if len(lower) > 3 and {"r", "g", "b"} <= set(lower):
+            pixels = pixels[..., [lower.index(c) for c in "rgb"]]
         if pixels.shape[:2] != (camera.camera.height, camera.camera.width):
             have, want = f"{pixels.shape[1]}x{pixels.shape[0]}", f"{camera.camera.width}x{camera.camera.height}"
             fault = f"is {have}, the camera's other frames {want}"
@@ -50,24 +77,15 @@ def index_light_stage(stage: StageRun) -> None:
                 bar.advance()
     level = _told_level(stage) or search.level()
     clipped = [path for path, top in tops.items() if level is not None and top >= level]
-    samples = _clipped_fraction(clipped, level, frames)
-    if bad:
-        first = sorted(bad)[0]
-        stage.warn(f"{first}: {sum(bad.values())} samples in {len(bad)} frames are not finite; the fit leaves them out")
-    black = [p for p, top in tops.items() if not top > 0]
-    if len(black) == len(tops):
-        raise UserError(root, "every light-stage frame is black", "check the export")
-    if black:
-        stage.warn(f"{sorted(black)[0]}: {len(black)} frames are black ({some(p.name for p in sorted(black))})")
-    stage.note("saturated_frames", len(clipped))
-    (stage.output / "olat.json").write_text(json.dumps(_table(light_stage, root, level, samples), indent=1) + "\n")
+    return LinearFrames({}, level, _clipped_fraction(clipped, level, frames), len(clipped), tops, bad)
 
 
 def _told_level(stage: StageRun) -> float | None:
+    """The clip level that capture.toml tells of samples scaled to 0..1; a white level that changes them is not met here."""
     radiometry = stage.capture.config.radiometry
-    if radiometry.white_level is None:
+    if radiometry.white_level is None and radiometry.saturation is None:
         return None
-    return radiometry.white_level * (radiometry.saturation or 1.0)
+    return radiometry.saturation or 1.0
 
 
 def _clipped_fraction(clipped: list[Path], level: float | None, frames: list[tuple[LightStageCamera, Path]]) -> float:
@@ -79,9 +97,9 @@ def _clipped_fraction(clipped: list[Path], level: float | None, frames: list[tup
     return over / max(1, total)
 
 
-def _table(light_stage: LightStage, root: Path, level: float | None, fraction: float) -> dict[str, Any]:
+def _table(light_stage: LightStage, root: Path, frames: LinearFrames) -> dict[str, Any]:
     def relative(path: Path | None) -> str | None:
-        return None if path is None else path.relative_to(root).as_posix()
+        return None if path is None else frames.written.get(path, path.relative_to(root)).as_posix()
 
     lights = light_stage.lights
     cameras = {}
@@ -94,13 +112,11 @@ def _table(light_stage: LightStage, root: Path, level: float | None, fraction: f
             "full_light": [relative(p) for p in camera.full_light],
             "width": c.width,
             "height": c.height,
-            "camera": {
-                "fl_x": c.fx, "fl_y": c.fy, "cx": c.cx, "cy": c.cy, "w": c.width, "h": c.height,
-                "distortion": list(c.distortion), "transform_matrix": opengl_from_camera(c.world_to_camera).tolist(),
-            },
-        }  # fmt: skip
+            "camera": frame_of(c),
+        }
     return {
         "schema": 1,
+        **({"frames_in": IN_DECODE} if frames.written else {}),
         "cameras": cameras,
         "lights": {
             "directions": lights.directions.tolist(),
@@ -108,6 +124,6 @@ def _table(light_stage: LightStage, root: Path, level: float | None, fraction: f
             "intensity": lights.intensity.tolist(),
             "solid_angle": None if lights.solid_angle is None else lights.solid_angle.tolist(),
         },
-        "saturated_fraction": fraction,
-        "saturation_level": level,
+        "saturated_fraction": frames.clipped_fraction,
+        "saturation_level": frames.level,
     }

@@ -45,11 +45,11 @@ def run(stage: StageRun) -> None:
 
 STAGE = Stage(
     name="decode",
-    version=3,
+    version=5,
     parameters=DecodeParameters,
     needs=(),
     needed=needed,
     run=run,
     capture_files=capture_files,
-    config=("stokes", "radiometry", "mosaic", "stack", "polarisers", "olat"),
+    config=("stokes", "radiometry", "mosaic", "stack", "raw", "polarisers", "olat"),
 )

@@ -19,6 +19,7 @@ from pipeline.capture.naming.files import count, some
 from pipeline.engine.stage import StageRun
 from pipeline.errors import UserError
 from pipeline.formats.images import HALF_MAX, write_exr, write_mask, write_png, write_stokes
+from pipeline.geometry.lens import FRAMES
 from stages.calib.decode.frame_scan_kernel import count_unphysical, make_physical
 from stages.calib.decode.noise import estimate_noise
 from stages.calib.decode.plateau import clip_level
@@ -71,7 +72,7 @@ def decode_views(stage: StageRun) -> None:
     }
     if capture.parts is not None:
         table["parts"] = capture.parts
-    (output / "frames.json").write_text(json.dumps(table, indent=1) + "\n", encoding="utf-8")
+    (output / FRAMES).write_text(json.dumps(table, indent=1) + "\n", encoding="utf-8")
 
 
 def _decode_one(source: ViewSource, stage: StageRun) -> tuple[str, FrameRecord]:
@@ -87,7 +88,7 @@ def _decode_one(source: ViewSource, stage: StageRun) -> tuple[str, FrameRecord]:
         record.negative, record.impossible, peak = survey.negative, survey.impossible, survey.peak
     else:
         peak = float(image.max(initial=0.0))
-    record.black = not peak > 0
+    record.black = not (peak > 0 and bool((decoded.s0 > 0).any()))  # a NaN is no light
     half = _half(peak, stage.parameters.precision)
     if decoded.verbatim is not None and stage.parameters.precision == "auto":
         shutil.copyfile(decoded.verbatim, stage.output / name)
@@ -158,7 +159,14 @@ def _tell(stage: StageRun, records: dict[str, FrameRecord]) -> None:
         stage.warn(
             f"{stage.capture.root}: DoLP is above 1 in {100 * impossible / total:.1f} % of the pixels: black level, order?"
         )
-    if black := [v for v, r in sorted(records.items()) if r.black]:
+    black = [v for v, r in sorted(records.items()) if r.black]
+    if len(black) == len(records):
+        raise UserError(
+            stage.capture.view(black[0]).paths[0],
+            f"every pixel of {'every view' if len(black) > 1 else 'it'} is black or below 0",
+            "check the export, the black level and [stokes] scale",
+        )
+    if black:
         first = stage.capture.view(black[0]).paths[0]
         more = f" and {count(black[1:], 'more view')}" if len(black) > 1 else ""
         stage.warn(f"{first}{more}: every pixel is black: leave it out, or export it again")

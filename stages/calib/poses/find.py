@@ -16,12 +16,14 @@ from pipeline.capture.naming.exif import focal_from_exif
 from pipeline.capture.naming.files import count, some
 from pipeline.engine.stage import StageRun
 from pipeline.errors import UserError
-from pipeline.formats.colmap import read_model
+from pipeline.formats.colmap import parameters_of, read_model
+from pipeline.formats.dataset_files import POINTS
 from pipeline.geometry.cameras import Camera
+from pipeline.geometry.lens import FRAMES
 from stages.calib.poses.proxies import Proxy, write_masks, write_proxies
 from stages.calib.poses.scale import world_scale
 from stages.calib.poses.straighten import write_cameras
-from stages.calib.poses.write import write_points, write_sparse
+from stages.calib.poses.write import FRAME_SUFFIX, write_points, write_sparse
 
 EXHAUSTIVE_VIEWS = 150
 """All pairs up to here (11 000 pairs); beyond, neighbours by name and loop closures."""
@@ -66,9 +68,8 @@ def find_cameras(stage: StageRun) -> None:
     _finish(stage, model, proxies)
 
 
-def triangulate(stage: StageRun) -> None:
-    """With given cameras: sparse points alone, poses untouched."""
-    cameras = stage.capture.cameras or {}
+def triangulate(stage: StageRun, cameras: Mapping[str, Camera], offset: NDArray[np.float64]) -> None:
+    """With given cameras by VIEW, `offset` [3] taken from their positions: sparse points alone, poses untouched."""
     work = stage.scratch / "colmap"
     shutil.rmtree(work, ignore_errors=True)
     work.mkdir(parents=True)
@@ -82,8 +83,8 @@ def triangulate(stage: StageRun) -> None:
         stage.warn(f"{stage.capture.root}: only {len(points)} points agree with the given cameras: axes, direction, pixels?")
     stage.note("points", len(points))
     if len(points):
-        write_sparse(stage.output / "sparse", cameras, points, colours)
-        write_points(stage.output / "points.ply", points, colours)
+        write_sparse(stage.output / "sparse", cameras, points, colours, FRAME_SUFFIX, offset)
+        write_points(stage.output / POINTS, points, colours, offset)
 
 
 class Session:
@@ -132,8 +133,7 @@ class Session:
     def _intrinsics(self, members: list[Proxy], cameras: Mapping[str, Camera] | None) -> tuple[str, list[float]]:
         first = members[0]
         if cameras is not None:
-            c = cameras[first.view]
-            return "OPENCV", [c.fx, c.fy, c.cx, c.cy, *(*c.distortion, 0.0, 0.0, 0.0, 0.0)[:4]]
+            return parameters_of(cameras[first.view])
         focal = self.known_focal()
         told = (
             [f for f in (focal_from_exif(self.stage.capture.view(p.view).paths[0]) for p in members) if f]
@@ -253,6 +253,11 @@ def _points(model: Any) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
     return xyz, np.array([p.color for _, p in items], np.uint8).reshape(-1, 3)
 
 
+def _by_view(sparse: Path) -> dict[str, Camera]:
+    """The cameras of a model whose images are named as frames."""
+    return {name.removesuffix(FRAME_SUFFIX): camera for name, camera in read_model(sparse).cameras.items()}
+
+
 def _finish(stage: StageRun, model: Any, proxies: list[Proxy]) -> None:
     """Name images by VIEW, fix the scale, write; say what was not registered."""
     view_of = {p.name: p.view for p in proxies}
@@ -265,23 +270,23 @@ def _finish(stage: StageRun, model: Any, proxies: list[Proxy]) -> None:
         )
     error = float(model.compute_mean_reprojection_error())
     for image_id in model.reg_image_ids():
-        model.images[image_id].name = view_of[model.images[image_id].name]
+        model.images[image_id].name = view_of[model.images[image_id].name] + FRAME_SUFFIX
     sparse = stage.output / "sparse"
     sparse.mkdir()
     model.write_text(str(sparse))
-    found = read_model(sparse)
+    cameras = _by_view(sparse)
     config = stage.capture.config
     pictures = {p.view: stage.scratch / "colmap" / "images" / p.name for p in proxies}
-    scale = world_scale(config.poses, found.cameras, pictures, config.path or stage.capture.root)
+    scale = world_scale(config.poses, cameras, pictures, config.path or stage.capture.root)
     if scale != 1.0:
         model.transform(stage_similarity(scale))
         model.write_text(str(sparse))
-        found = read_model(sparse)
+        cameras = _by_view(sparse)
         stage.note("scale", scale)
-    write_cameras(stage, {v: replace(c, name=camera_of[v]) for v, c in found.cameras.items()})
+    write_cameras(stage, {v: replace(c, name=camera_of[v]) for v, c in cameras.items()})
     points, colours = _points(model)
-    write_points(stage.output / "points.ply", points, colours)
-    focal = {camera_of[v]: c.fx for v, c in found.cameras.items()}
+    write_points(stage.output / POINTS, points, colours)
+    focal = {camera_of[v]: c.fx for v, c in cameras.items()}
     summary = {"registered": len(registered), "views": len(camera_of), "mean_reprojection_error_px": error,
                "points": len(points), "focal_px": focal, "left_out": lost}  # fmt: skip
     for key, value in summary.items():
@@ -297,4 +302,4 @@ def stage_similarity(scale: float) -> Any:
 
 
 def _frames(stage: StageRun) -> dict[str, dict]:
-    return json.loads((stage.inputs["decode"] / "frames.json").read_text(encoding="utf-8"))["views"]
+    return json.loads((stage.inputs["decode"] / FRAMES).read_text(encoding="utf-8"))["views"]

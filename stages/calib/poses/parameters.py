@@ -23,3 +23,10 @@ class PosesParameters:
     use_masks: bool = field(default=True, metadata={"help": "ignore features outside given masks"})
     triangulate: bool = field(default=False, metadata={"help": "with given cameras: also find sparse points"})
     seed: int = field(default=0, metadata={"help": "of the random choices"})
+
+    def __post_init__(self) -> None:
+        """Raises ValueError on values that have no meaning."""
+        if self.focal_px is not None and not 0 < self.focal_px < float("inf"):
+            raise ValueError(f"focal_px = {self.focal_px} is not above 0")
+        if self.max_size < 1 or self.features < 1:
+            raise ValueError("max_size and features must be above 0")

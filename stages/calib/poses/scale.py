@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from pipeline.capture.config import PosesConfig
 from pipeline.errors import UserError
-from pipeline.geometry.cameras import Camera, undistort
+from pipeline.geometry.cameras import Camera
 
 MARKER_VIEWS = 2
 WORST_MARKER = 0.1
@@ -86,11 +86,7 @@ def _triangulated(rays: Sequence[tuple[Camera, NDArray[np.float64]]]) -> NDArray
     """The point [3] nearest to the rays of some pixels."""
     left, right = np.zeros((3, 3)), np.zeros(3)
     for camera, (u, v) in rays:
-        ideal = np.array([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy])
-        if any(camera.distortion):
-            ideal = undistort(ideal, camera.distortion)
-        ray = np.append(ideal, 1.0) @ camera.world_to_camera[:3, :3]
-        ray /= np.linalg.norm(ray)
+        ray = camera.rays_at(np.array([u, v])) @ camera.world_to_camera[:3, :3]
         across = np.eye(3) - np.outer(ray, ray)
         left += across
         right += across @ camera.centre

@@ -48,7 +48,7 @@ def run(stage: StageRun) -> None:
 
 STAGE = Stage(
     name="poses",
-    version=2,
+    version=3,
     parameters=PosesParameters,
     needs=("decode",),
     needed=needed,

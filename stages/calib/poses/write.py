@@ -8,7 +8,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.formats.colmap import parameters_of
+from pipeline.formats.ply import write_ply
 from pipeline.geometry.cameras import Camera
+from pipeline.geometry.world_offset import ply_comment
+
+FRAME_SUFFIX = ".exr"
+"""Of the frames that decode wrote, in whose folder sparse/ finds its images."""
 
 
 def quaternion(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -32,26 +38,28 @@ def quaternion(rotation: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def write_sparse(folder: Path, cameras: Mapping[str, Camera], points: NDArray[np.float64] | None = None,
-                 colours: NDArray[np.uint8] | None = None) -> None:  # fmt: skip
-    """COLMAP text model of cameras by VIEW (image NAME is VIEW); points [N, 3] without tracks."""
+                 colours: NDArray[np.uint8] | None = None, suffix: str = "",
+                 offset: NDArray[np.float64] | None = None) -> None:  # fmt: skip
+    """COLMAP text model of cameras by VIEW (image NAME is VIEW + `suffix`); points [N, 3] without tracks.
+
+    `offset` [3] is what was taken from all positions: a comment tells it.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     ids: dict[tuple[object, ...], int] = {}
     camera_lines, image_lines = [], []
     for number, (view, c) in enumerate(sorted(cameras.items()), 1):
-        if any(c.distortion):
-            model, numbers = "OPENCV", [c.fx, c.fy, c.cx, c.cy, *(*c.distortion, 0.0, 0.0, 0.0, 0.0)[:4]]
-        else:
-            model, numbers = "PINHOLE", [c.fx, c.fy, c.cx, c.cy]
+        model, numbers = parameters_of(c)
         key = (c.name, model, c.width, c.height, *numbers)
         if key not in ids:
             ids[key] = len(ids) + 1
             camera_lines.append(f"{ids[key]} {model} {c.width} {c.height} {' '.join(repr(float(x)) for x in numbers)}")
         q, t = quaternion(c.world_to_camera[:3, :3]), c.world_to_camera[:3, 3]
         pose = " ".join(repr(float(x)) for x in (*q, *t))
-        image_lines.append(f"{number} {pose} {ids[key]} {view}\n")
+        image_lines.append(f"{number} {pose} {ids[key]} {view}{suffix}\n")
     (folder / "cameras.txt").write_text("# CAMERA_ID, MODEL, WIDTH, HEIGHT, PARAMS[]\n" + "\n".join(camera_lines) + "\n")
     (folder / "images.txt").write_text(
-        "# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME\n# POINTS2D[] as (X, Y, POINT3D_ID)\n"
+        "".join(f"# {line.removeprefix('comment ')}\n" for line in ply_comment(offset))
+        + "# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME\n# POINTS2D[] as (X, Y, POINT3D_ID)\n"
         + "\n".join(image_lines)
         + "\n",
         encoding="utf-8",
@@ -66,15 +74,9 @@ def write_sparse(folder: Path, cameras: Mapping[str, Camera], points: NDArray[np
     (folder / "points3D.txt").write_text("\n".join(lines) + "\n")
 
 
-def write_points(path: Path, points: NDArray[np.float64], colours: NDArray[np.uint8]) -> None:
-    """Binary PLY of points [N, 3] with 8-bit colours [N, 3], in the order given."""
-    table = np.zeros(len(points), [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1")])
-    for i, name in enumerate("xyz"):
-        table[name] = points[:, i]
-    for i, name in enumerate(("red", "green", "blue")):
-        table[name] = colours[:, i]
-    header = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(points)}\n"
-    header += "".join(f"property float {n}\n" for n in "xyz") + "".join(
-        f"property uchar {n}\n" for n in ("red", "green", "blue")
-    )
-    path.write_bytes(header.encode() + b"end_header\n" + table.tobytes())
+def write_points(
+    path: Path, points: NDArray[np.float64], colours: NDArray[np.uint8], offset: NDArray[np.float64] | None = None
+) -> None:
+    """Binary PLY of points [N, 3] with 8-bit colours [N, 3], in the order given; `offset` [3] was taken from them."""
+    columns = dict(zip("xyz", points.T)) | dict(zip(("red", "green", "blue"), colours.T))
+    write_ply(path, columns, comments=ply_comment(offset))

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import csv
-import json
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from pipeline.engine.dataset import Dataset
 from pipeline.engine.progress import clock
 from pipeline.engine.stage import StageRun
+from pipeline.formats.dataset_files import TRAIN_LOG
 from pipeline.report.curves import line_chart
 from pipeline.report.render import render
 
@@ -26,7 +26,7 @@ def write_report(run: StageRun, metrics: dict[str, Any], manifests: Mapping[str,
         "tiles": headlines(metrics),
         "plan": plan_rows(run, manifests),
         "views": [], "environment": [], "relit": [], "olat": [],
-        "curves": training_curves(run.inputs["train"] / "train_log.csv") if "train" in run.inputs else [],
+        "curves": training_curves(run.inputs["train"] / TRAIN_LOG) if "train" in run.inputs else [],
         "costs": cost_rows(manifests),
         "tables": tables(metrics),
         "warnings": [(n, w) for n, m in manifests.items() for w in m.get("warnings", [])]
@@ -70,10 +70,8 @@ def capture_facts(run: StageRun) -> list[str]:
 
 def plan_rows(run: StageRun, manifests: Mapping[str, dict[str, Any]]) -> list[dict[str, Any]]:
     """Every stage's decision with its reason; passes that stages decided on while running are added."""
-    root = Path(os.path.abspath(next(iter(run.inputs.values())))).parents[1] if run.inputs else Path()
-    try:
-        plan = json.loads((root / "dataset.json").read_text())["plan"]
-    except (OSError, ValueError, KeyError):
+    plan = Dataset.holding(next(iter(run.inputs.values()))).read_description().get("plan") if run.inputs else None
+    if plan is None:
         plan = {n: m.get("decision", {"run": True, "reason": ""}) for n, m in manifests.items()}
     rows = []
     for name, decision in plan.items():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,27 +11,35 @@ import numpy as np
 from pipeline.capture.light_stage.folders import home_of
 from pipeline.capture.naming.safe_names import environment_name
 from pipeline.engine.stage import StageRun
-from pipeline.formats.arrays import read_array
-from pipeline.formats.images import read_image
+from pipeline.formats import dataset_files as files
+from pipeline.formats.ground_truth import camera_maps
+from pipeline.formats.images import RGB, XYZ, read_image
 from pipeline.report import pictures
 from pipeline.report.pictures import picture
 
-from .model_pictures import RGB, XYZ
-
 ERROR_FULL = 0.5  # difference over the mean of the frames' sum, at the bright end
-FLAG_COLOURS = ((24, 26, 30), (214, 158, 46), (197, 48, 48), (90, 90, 90), (49, 130, 206), (128, 90, 213))
+FLAG_COLOURS = (
+    (24, 26, 30),
+    (214, 158, 46),
+    (197, 48, 48),
+    (90, 90, 90),
+    (49, 130, 206),
+    (128, 90, 213),
+    (221, 107, 32),
+    (49, 151, 149),
+)
 
 
 def olat_cards(run: StageRun, metrics: dict[str, Any]) -> list[dict[str, Any]]:
     """A card of maps per camera."""
     rows = {row["view"]: row for row in metrics.get("olat", {}).get("views", []) if isinstance(row, dict)}
-    folders = sorted(p for p in run.inputs["olat"].iterdir() if p.is_dir())
+    folders = files.subfolders(run.inputs["olat"])
     return [{"view": f.name, "figures": rows.get(f.name, {}), "pictures": _maps(run, f)} for f in folders]
 
 
 def _maps(run: StageRun, folder: Path) -> list[dict[str, str]]:
     longest = run.parameters.picture_px
-    normal = read_image(folder / "normal.exr", XYZ)
+    normal = read_image(files.camera_map(folder, "normal"), XYZ)
     there = np.linalg.norm(normal, axis=-1) > 0.5
     box = pictures.crop_box([there])
     out: list[dict[str, str]] = []
@@ -38,14 +47,17 @@ def _maps(run: StageRun, folder: Path) -> list[dict[str, str]]:
     def add(pixels: np.ndarray, title: str, text: str) -> None:
         out.append(picture(pixels[box], title, text, longest))
 
-    def one(name: str, channel: str = "Y") -> np.ndarray:
-        return read_image(folder / f"{name}.exr", (channel,))[..., 0]
+    def fitted(name: str, channels: Sequence[str]) -> np.ndarray:
+        return read_image(files.camera_map(folder, name), channels)
 
-    add(pictures.radiance(read_image(folder / "diffuse_albedo.exr", RGB)), "diffuse albedo", "ρ_d")
+    def one(name: str, channel: str = "Y") -> np.ndarray:
+        return fitted(name, (channel,))[..., 0]
+
+    add(pictures.radiance(fitted("diffuse_albedo", RGB)), "diffuse albedo", "ρ_d")
     add(pictures.scale(one("specular_albedo"), 0, 1, mask=there), "specular albedo", "ρ_s, 0 to 1")
-    truth = home_of(run.capture.root, folder.name) / "gt" / "maps.npz"
-    if truth.is_file():
-        true, inside = read_array(truth, "normal"), read_array(truth, "mask") > 0.5
+    truth = camera_maps(home_of(run.capture.root, folder.name))
+    if truth is not None:
+        true, inside = truth["normal"], truth["mask"] > 0.5
         if true.shape == normal.shape:
             add(pictures.normals(true), "normals", "truth")
             error = np.degrees(np.arccos(np.clip((true * normal).sum(-1), -1, 1)))
@@ -53,9 +65,9 @@ def _maps(run: StageRun, folder: Path) -> list[dict[str, str]]:
             add(pictures.scale(error, 0, 10, mask=there & inside), "normal error", "0 to 10°")
     else:
         add(pictures.normals(normal), "normals", "fused")
-    add(pictures.normals(read_image(folder / "diffuse_normal.exr", XYZ)), "diffuse normals", "from the Lambert term")
-    add(pictures.normals(read_image(folder / "specular_normal.exr", XYZ)), "specular normals", "from the lobe")
-    sigma = read_image(folder / "sigma.exr", ("X", "Y"))
+    add(pictures.normals(fitted("diffuse_normal", XYZ)), "diffuse normals", "from the Lambert term")
+    add(pictures.normals(fitted("specular_normal", XYZ)), "specular normals", "from the lobe")
+    sigma = fitted("sigma", ("X", "Y"))
     add(pictures.scale(sigma[..., 0], 0, 0.6, pictures.VIRIDIS, there), "larger σ", "0 to 0.6")
     add(pictures.scale(sigma[..., 1], 0, 0.6, pictures.VIRIDIS, there), "smaller σ", "0 to 0.6")
     add(pictures.scale(one("anisotropy"), 0, 1, pictures.VIRIDIS, there), "anisotropy", "0 to 1")
@@ -63,34 +75,37 @@ def _maps(run: StageRun, folder: Path) -> list[dict[str, str]]:
     add(pictures.scale(one("residual"), 0, 0.5, mask=there), "residual", "relative RMS, 0 to 0.5")
     flag = np.clip(one("residual", "flag").round().astype(int), 0, len(FLAG_COLOURS) - 1)
     colours = np.array(FLAG_COLOURS, np.uint8)[flag] * there[..., None].astype(np.uint8)
-    add(colours, "flags", "yellow few lights, red saturated, blue no lobe, violet bad samples")
+    told = (
+        "yellow few lights, red saturated, blue no lobe, violet bad samples, orange facing away, teal peak outside the lights"
+    )
+    add(colours, "flags", told)
     return out
 
 
 def _in_reading_order(path: Path) -> tuple[str, int]:
     """Camera by camera: the frames' sum, what the maps make of it, the difference."""
-    order = 0 if path.stem.endswith("_olat") else 2 if path.stem.endswith("_error") else 1
-    return path.stem.removesuffix("_olat").removesuffix("_error"), order
+    order = 0 if path.stem.endswith(files.SUMMED) else 2 if path.stem.endswith(files.ERROR) else 1
+    return path.stem.removesuffix(files.SUMMED).removesuffix(files.ERROR), order
 
 
 def relit_cards(run: StageRun) -> list[dict[str, Any]]:
     """For every map: the map, and each camera from the frames and from the fitted maps."""
     out = []
     maps = {environment_name(p): p for p in run.capture.environments}
-    for folder in sorted(p for p in run.inputs["relight"].iterdir() if p.is_dir()):
+    for folder in files.subfolders(run.inputs["relight"]):
         pics = []
         for path in sorted(folder.glob("cam*.exr"), key=_in_reading_order):
-            if path.stem.endswith("_error"):
+            if path.stem.endswith(files.ERROR):
                 error = read_image(path, ("Y",))[..., 0]
                 shown = pictures.scale(error, 0, ERROR_FULL)[pictures.crop_box([error > 0])]
-                title = path.stem.removesuffix("_error")
+                title = path.stem.removesuffix(files.ERROR)
                 pics.append(picture(shown, title, f"difference, 0 to {ERROR_FULL:g}", run.parameters.picture_px))
                 continue
             image = read_image(path, RGB)
-            what = "sum of the frames" if path.stem.endswith("_olat") else "rendered from the maps"
+            what = "sum of the frames" if path.stem.endswith(files.SUMMED) else "rendered from the maps"
             box = pictures.crop_box([image.max(-1) > 1e-4])
             pics.append(
-                picture(pictures.radiance(image)[box], path.stem.removesuffix("_olat"), what, run.parameters.picture_px)
+                picture(pictures.radiance(image)[box], path.stem.removesuffix(files.SUMMED), what, run.parameters.picture_px)
             )
         lamp = None
         if folder.name in maps:

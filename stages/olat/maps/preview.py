@@ -14,7 +14,10 @@ GRID = (
     ("diffuse_albedo", "specular_albedo", "diffuse_normal", "specular_normal", "normal", "tangent"),
     ("sigma", "anisotropy", "occlusion_d", "interreflection_d", "residual", "flag"),
 )
-FLAG_COLOURS = np.array([[0.1, 0.35, 0.15], [0.9, 0.7, 0.1], [0.95, 0.3, 0.2], [0, 0, 0], [0.3, 0.4, 0.9], [0.9, 0.2, 0.9]])
+FLAG_COLOURS = np.array(
+    [[0.1, 0.35, 0.15], [0.9, 0.7, 0.1], [0.95, 0.3, 0.2], [0, 0, 0], [0.3, 0.4, 0.9], [0.9, 0.2, 0.9], [0.87, 0.42, 0.13],
+     [0.2, 0.6, 0.58]]
+)  # fmt: skip
 
 
 def write_preview(path: Path, maps: NDArray[np.float32]) -> None:

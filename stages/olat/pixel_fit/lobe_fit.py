@@ -18,20 +18,24 @@ RELATIVE = np.float32(0.2)  # of a sample: model error at which the robust weigh
 ABSOLUTE = 0.02  # of the brightest sample: the same for dim samples
 DISAGREE = math.cos(math.radians(3.0))  # of n_s and n_d: further apart, n_d is tried as a start
 MIXED_MISFIT = 0.05**2  # of the samples' square norm: a lobe that misses more may be several
-NOISE_SLACK = 1.25  # of the noise expected in the misfit: three standard deviations for 350 lights
+CERTAIN = 18.2
+"""By how much two more parameters must lower the cost of n samples: `1 / (1 + CERTAIN / (n - 6))`, an F test at 9.1 (one chance
+in ten thousand where there are many). Settings' `gain` is that of 170 lights, and the most there is."""
 UNSURE = 0.1**2  # of the square norm, weighted or not: a lobe or a mixture that misses more has no tangent
 ROUND_STEPS, DIRECTED_STEPS = 2, 3  # Levenberg-Marquardt steps between two reweightings: round lobe, anisotropic lobe
 
 
 @kernel(error_model="numpy")
 def fit_lobe(settings, o, n_d, prior, solved, half, incident, light, floor, use, area, cosine, weight, g, top, noise,
-             frame, shape, rho, room):  # fmt: skip
+             frame, shape, rho, equations, room):  # fmt: skip
     """Fit one pixel's lobe in place on (frame, shape, rho[0]).
 
     half, incident [3, N], light, floor, use, area (sr), cosine (h·o) [N]: the lights before the surface; weight, g [N]:
-    workspace, left with the final weights and the lobe's values; top, noise: brightest sample and deviation; prior: strength of
+    workspace, left with the final weights and the lobe's values; equations [6, 6]: left with
+    one lobe's normal equations (`specular.optimise`); top, noise: brightest sample and deviation; prior: strength of
     the tie to n_d where `solved`, negative where n_d is simply given; room: `workspace.Room`.
-    Returns (gradient norm, passes, order of the tangents: 1 where one lobe is kept, less where they mix).
+    Returns (gradient norm, passes, order of the tangents: 1 where one lobe is kept, less where they mix; what the tie added to
+    the equations' first two diagonal entries).
     """
     kind = light.dtype.type
     absolute = kind(ABSOLUTE * top + 3 * noise)
@@ -60,7 +64,7 @@ def fit_lobe(settings, o, n_d, prior, solved, half, incident, light, floor, use,
     other, more = _rounds(settings, prior, frame2, shape2, rho2, o, n_d, stiff, absolute, False, samples)
     passes += more
     large, small, _ = widths(shape2)
-    anisotropic = other < settings.gain * cost and (large - small) > ROUND * (large + small)
+    anisotropic = other < _gain(settings.gain, use) * cost and (large - small) > ROUND * (large + small)
     if anisotropic:
         rho[0] = rho2[0]
         copy2(frame2, frame)
@@ -71,13 +75,16 @@ def fit_lobe(settings, o, n_d, prior, solved, half, incident, light, floor, use,
         reweight(g, kind(rho[0]), light, use, absolute, RELATIVE, weight)
     stiffness = _stiffness(prior, g, kind(rho[0]), light, use, weight) if stiff else 0.0
     _, norm, more = optimise(settings.lobe, frame, shape, rho, o, half, incident, light, floor, weight, not anisotropic,
-                             stiffness, n_d, settings.steps, settings.tolerance)  # fmt: skip
+                             stiffness, n_d, settings.steps, settings.tolerance,
+                             equations)  # fmt: skip
     passes += more
+    agree = n_d[0] * frame[2, 0] + n_d[1] * frame[2, 1] + n_d[2] * frame[2, 2]
+    tied = stiffness * max(agree, 0.5) if stiffness > 0 else 0.0
     values(settings.lobe, frame, shape, o, half, incident, g)
     large, small, angle = widths(shape)
     miss, data, count = _misfit(g, kind(rho[0]), light, floor, use)
     order = 1.0
-    if settings.mixed > 0 and prior >= 0 and miss > MIXED_MISFIT * data + NOISE_SLACK * count * noise * noise:
+    if settings.mixed > 0 and prior >= 0 and miss > MIXED_MISFIT * data + _expected(count, noise):
         x = vector(LENGTH)
         copy2(frame, frame2)
         cost = reweight(g, kind(rho[0]), light, use, absolute, RELATIVE, weight)
@@ -98,9 +105,24 @@ def fit_lobe(settings, o, n_d, prior, solved, half, incident, light, floor, use,
             copy1(trial_weight, weight)
         for weights in (use, weight):
             miss, data, count = _misfit(g, kind(rho[0]), light, floor, weights)
-            if miss > UNSURE * data + NOISE_SLACK * count * noise * noise:
+            if miss > UNSURE * data + _expected(count, noise):
                 order = 0.0  # what is left is as large as what tells the directions apart
-    return norm, passes, order
+    return norm, passes, order, tied
+
+
+@kernel(error_model="numpy")
+def _expected(count, noise):
+    """Square misfit that noise explains, to three standard deviations of its own."""
+    return (1.0 + 3.0 * math.sqrt(2.0 / max(count, 1.0))) * count * noise * noise
+
+
+@kernel(error_model="numpy")
+def _gain(most, use):
+    """Share of the round lobe's cost that an anisotropic one must beat, for as many samples as are in use."""
+    n = 0.0
+    for k in range(use.size):
+        n += 1.0 if use[k] > 0 else 0.0
+    return min(most, 1.0 / (1.0 + CERTAIN / (n - 6.0))) if n > 6.0 else 0.0
 
 
 @kernel(fastmath=FAST, error_model="numpy")
@@ -129,6 +151,7 @@ def round_start(light, use, level, area, half, cosine, frame, shape):
 def _rounds(settings, prior, frame, shape, rho, o, n_d, stiff, absolute, isotropic, samples):
     """Reweighted Levenberg-Marquardt rounds in place; returns the robust cost at their end and the passes."""
     half, incident, light, floor, use, weight, g = samples
+    scratch = matrix(6, 6)
     kind = light.dtype.type
     values(settings.lobe, frame, shape, o, half, incident, g)
     rho[0] = linear_albedo(g, light, use, floor)
@@ -139,7 +162,8 @@ def _rounds(settings, prior, frame, shape, rho, o, n_d, stiff, absolute, isotrop
             reweight(g, kind(rho[0]), light, use, absolute, RELATIVE, weight)
         stiffness = _stiffness(prior, g, kind(rho[0]), light, use, weight) if stiff else 0.0
         _, _, more = optimise(settings.lobe, frame, shape, rho, o, half, incident, light, floor, weight, isotropic,
-                              stiffness, n_d, ROUND_STEPS if isotropic else DIRECTED_STEPS, settings.tolerance)  # fmt: skip
+                              stiffness, n_d, ROUND_STEPS if isotropic else DIRECTED_STEPS, settings.tolerance,
+                              scratch)  # fmt: skip
         passes += more
         values(settings.lobe, frame, shape, o, half, incident, g)
     return reweight(g, kind(rho[0]), light, use, absolute, RELATIVE, weight), passes

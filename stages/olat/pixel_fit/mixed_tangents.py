@@ -9,9 +9,12 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from pipeline.kernels import scratch as stack
 from pipeline.kernels.compiling import kernel
 from pipeline.kernels.numerics import FAST, ZERO, cholesky_solve, copy1, copy2
+from pipeline.rig.lobe_names import GGX
 from pipeline.rig.lobes import jacobian, values
 from stages.olat.pixel_fit.specular import hold, reweight, tilt, weighted_square
 
@@ -21,6 +24,7 @@ LENGTH = 3 + DIRECTIONS  # numbers that describe a mixture: log widths, first an
 STEPS = 12
 ROUNDS = 2
 REACH = 3.2  # widths of one lobe: beyond it the mixture is under 4e-5 of its peak
+TAIL = 30.0  # the same of GGX, which falls by the fourth power alone: 1e-6 of its peak
 LOG_MIN, LOG_MAX = math.log(0.01), math.log(2.0)
 
 
@@ -216,18 +220,20 @@ def fit_mixed(lobe, frame, x, large, small, angle, rho, o, h, i, light, floor, u
     """Fit the mixture from one lobe (large, small, angle, rho), in place on (frame, x [3 + DIRECTIONS]).
 
     weight, g [N] are left with the robust weights and the mixture's values. Ends early when the first round does not
-    reach `limit`, the cost to beat. Returns (robust cost, passes).
+    reach `limit`, the cost to beat, or fewer than two lights a parameter show the lobe. Returns (robust cost, passes).
     """
     kind = light.dtype.type
-    near = _pack(frame, REACH * large, h, i, light, floor, use, room.front, room.spare)
+    near = _pack(frame, (TAIL if lobe == GGX else REACH) * large, h, i, light, floor, use, room.front, room.spare)
+    x[0], x[1], x[2] = math.log(large) + 0.15, math.log(small) - 0.3, angle
+    for j in range(DIRECTIONS):
+        x[3 + j] = rho * (0.5 if j == 0 else 0.5 / (DIRECTIONS - 1))
     n = near.shape[1]
+    if n < 2 * SIZE:
+        return np.inf, 0
     spare = room.spare[9 * n :]
     rows, one = stack.folded(spare, SIZE, n), stack.folded(spare[SIZE * n :], 6, n)
     robust = spare[(SIZE + 6) * n : (SIZE + 7) * n]
     h2, i2 = (near[0], near[1], near[2]), (near[3], near[4], near[5])
-    x[0], x[1], x[2] = math.log(large) + 0.15, math.log(small) - 0.3, angle
-    for j in range(DIRECTIONS):
-        x[3 + j] = rho * (0.5 if j == 0 else 0.5 / (DIRECTIONS - 1))
     copy1(near[8], robust)
     passes, cost = 0, 0.0
     for turn in range(ROUNDS):

@@ -9,7 +9,8 @@ import numpy as np
 from pipeline.kernels.compiling import kernel
 from pipeline.kernels.numerics import FAST, HALF, ONE, ZERO
 from pipeline.kernels.scratch import matrix, vector
-from pipeline.rig.lobes import values
+from pipeline.rig.lobes import VIEW_FLOOR, normal_equations, values
+from stages.olat.pixel_fit.determined import NEAREST, SURE, deviation, nearest, strong
 from stages.olat.pixel_fit.diffuse import fit_normal
 from stages.olat.pixel_fit.fit_options import CORRELATION, JOINT, ROUND
 from stages.olat.pixel_fit.light_visibility import behind, diffuse_maps, printed_maps, specular_maps
@@ -26,6 +27,7 @@ from stages.olat.pixel_fit.result_layout import (
     ALBEDO_D,
     ALBEDO_S,
     ANISOTROPY,
+    AWAY,
     BAD_SAMPLES,
     BLACK,
     FLAG,
@@ -34,6 +36,7 @@ from stages.olat.pixel_fit.result_layout import (
     NORMAL,
     NORMAL_D,
     NORMAL_S,
+    OUTSIDE,
     RESIDUAL,
     ROUGHNESS,
     SATURATED,
@@ -47,11 +50,15 @@ from stages.olat.pixel_fit.specular import LOBE_FRACTION, frame_about, half_vect
 BAD_SHARE = 0.1  # of a pixel's samples that may be not finite before the pixel is flagged
 NOISE_FLOOR = 1e-3  # of the brightest sample: half floats are this coarse
 FIXED = -1.0  # tie of a normal that is not to move
+UNSETTLED = 1e-3  # gradient norm, data of unit norm, of a fit that ended on the way; float32 and few lights leave up to 3e-4
 UNKNOWN = 1e6  # variance (rad²) of a normal that was not measured
 ONE_WAY = 0.75  # order of a pixel's tangents below which it has no one tangent
 WIDEST = 2.2  # of a lobe: the width of one that fills the hemisphere (slopes beyond 65 degrees) is not told by the samples
 LIT_LIGHTS = 4  # three determine a normal and its albedo exactly; only a fourth can contradict them
 EFFECTIVE_LIGHTS = 3.0  # a lobe seen by fewer has no width
+FAINTEST = 0.01  # of the brightest sample, to count as light of the lobe: below it rounding and inter-reflection would
+CERTAIN = 3.0  # standard deviations of the noise above which a sample counts as light
+BEYOND = -0.05  # n·o (3 degrees past grazing) below which a normal faces away: smoothed normals at an outline come to that
 
 
 @kernel(fastmath=FAST, error_model="numpy")
@@ -191,6 +198,9 @@ def fit_pixel(cross, parallel, w, o, area, energy, settings, room, out):
         out[NORMAL], out[NORMAL + 1], out[NORMAL + 2] = x / length, y / length, z / length
     else:
         out[NORMAL], out[NORMAL + 1], out[NORMAL + 2] = n_d[0], n_d[1], n_d[2]
+    facing = out[NORMAL] * o[0] + out[NORMAL + 1] * o[1] + out[NORMAL + 2] * o[2]
+    if facing < BEYOND and flag != SATURATED and flag != BAD_SAMPLES:
+        flag = AWAY
     data = data_d / (math.pi * math.pi) + data_s
     out[RESIDUAL] = math.sqrt((square_d / (math.pi * math.pi) + square_s) / data) if data > 0 else 0.0
     out[FLAG] = flag
@@ -239,7 +249,7 @@ def _specular(n, w, o, area, settings, n_d, solved, top_d, room, out):
         return nothing
     if x * o[0] + y * o[1] + z * o[2] < 0.02 and solved:
         x, y, z = n_d
-    frame, shape, rho = matrix(3, 3), vector(3), vector(1)
+    frame, shape, rho, equations = matrix(3, 3), vector(3), vector(1), matrix(6, 6)
     tie, tied = settings.prior, n_d
     if settings.specular_fit == CORRELATION:
         a, b, c, found = correlation_normal(light, use, incident, o, weight)
@@ -248,10 +258,12 @@ def _specular(n, w, o, area, settings, n_d, solved, top_d, room, out):
     if settings.specular_fit != JOINT:
         tie, tied, solved = FIXED, (x, y, z), False
     frame_about(x, y, z, frame)
-    flag, norm, passes, order = GOOD, 0.0, 0, 1.0
+    flag, norm, passes, order, held = GOOD, 0.0, 0, 1.0, 0.0
     if clipped > 0.5 * whole:
         flag = SATURATED
-    if whole * whole < EFFECTIVE_LIGHTS * squares:  # too narrow for the rig, or all but hidden: half vectors, moments, no fit
+    light_sum, light_squares = strong(light, use, kind(max(FAINTEST * top, CERTAIN * noise)))
+    fits = light_sum * light_sum >= EFFECTIVE_LIGHTS * light_squares
+    if not fits:  # too narrow for the rig, or all but hidden: half vectors, moments, no fit
         flag = TOO_FEW if flag == GOOD else flag
         if solved and clipped == 0 and samples < EFFECTIVE_LIGHTS:
             frame_about(n_d[0], n_d[1], n_d[2], frame)
@@ -260,14 +272,21 @@ def _specular(n, w, o, area, settings, n_d, solved, top_d, room, out):
         for j in range(n):
             weight[j] = use[j]
     else:
-        norm, passes, order = fit_lobe(settings, o, tied, tie, solved, half, incident, light, floor, use, areas, cosine, weight,
-                                       g, top, noise, frame, shape, rho, room)  # fmt: skip
+        norm, passes, order, held = fit_lobe(settings, o, tied, tie, solved, half, incident, light, floor, use, areas, cosine,
+                                             weight, g, top, noise, frame, shape, rho, equations, room)  # fmt: skip
     rho[0] = linear_albedo(g, light, weight, floor) if order == 1.0 else rho[0]
     large, small, angle = widths(shape)
     if not (math.isfinite(large) and math.isfinite(small) and math.isfinite(rho[0]) and math.isfinite(frame[2, 0])):
         return nothing
     if large > WIDEST or not rho[0] > 0:
         flag = NO_LOBE
+    elif fits and flag == GOOD:
+        flag = _told(settings, frame, shape, rho[0], order, norm, equations, held, o, half, incident, light, floor, use, weight,
+                     g, top, tie < 0)  # fmt: skip
+    if fits and flag != GOOD and flag != SATURATED:  # no brighter at its peak than the brightest sample extrapolated so far
+        facing = max(frame[2, 0] * o[0] + frame[2, 1] * o[1] + frame[2, 2] * o[2], VIEW_FLOOR)
+        width = min(large * small, WIDEST * WIDEST)
+        rho[0] = min(rho[0], top * math.exp(NEAREST * NEAREST) * 4.0 * math.pi * width * facing)
     out[ALBEDO_S] = rho[0]
     out[SIGMA], out[SIGMA + 1] = large, small
     out[ROUGHNESS] = (large * small) ** 0.25
@@ -283,3 +302,28 @@ def _specular(n, w, o, area, settings, n_d, solved, top_d, room, out):
     in_lobe = max(whole * whole / squares, 1.0)
     variance = (square / max(data, 1e-30) + 1e-6) * large * small / in_lobe + (1.0 if flag != GOOD else 0.0)
     return True, n_s, norm, passes, variance, square, data, flag
+
+
+@kernel(error_model="numpy")
+def _told(
+    settings, frame, shape, rho, order, norm, equations, held, o, half, incident, light, floor, use, weight, g, top, fixed
+):
+    """GOOD where the lights tell the lobe that was fitted to them; OUTSIDE where its peak lies beyond them; else TOO_FEW."""
+    large, small, angle = widths(shape)
+    axes = matrix(3, 3)
+    along, across = math.cos(angle), math.sin(angle)
+    for k in range(3):
+        axes[0, k] = along * frame[0, k] + across * frame[1, k]
+        axes[1, k] = along * frame[1, k] - across * frame[0, k]
+        axes[2, k] = frame[2, k]
+    peak = nearest(half, use, axes, large, small if order > ONE_WAY else large)
+    if peak > NEAREST:
+        return OUTSIDE
+    n = 4 if shape[0] == shape[1] and shape[2] == 0.0 else 6
+    if order != 1.0:  # tangents mix: judged as one lobe of these widths
+        n, held, norm, gradient = 6, 0.0, 0.0, vector(6)
+        normal_equations(settings.lobe, frame, shape, rho, o, half, incident, light, floor, weight, equations, gradient)
+    unsure = deviation(equations, n, shape, rho, light, floor, weight, g, held, fixed, top)
+    if unsure < SURE and not norm > UNSETTLED:
+        return GOOD
+    return OUTSIDE if peak > 0.5 * NEAREST else TOO_FEW

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-GOOD, TOO_FEW, SATURATED, BLACK, NO_LOBE, BAD_SAMPLES = range(6)
+GOOD, TOO_FEW, SATURATED, BLACK, NO_LOBE, BAD_SAMPLES, AWAY, OUTSIDE = range(8)
+FLAGS = ("good", "too few lights", "saturated", "black", "no lobe", "bad samples", "facing away", "peak outside the lights")
 
 MAPS = {
     "diffuse_albedo": ("R", "G", "B"),

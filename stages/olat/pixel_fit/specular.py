@@ -163,17 +163,19 @@ def widths(shape):
 
 
 @kernel(error_model="numpy")
-def optimise(lobe, frame, shape, rho, o, h, i, light, floor, weight, isotropic, prior, n_d, steps, tolerance):
+def optimise(lobe, frame, shape, rho, o, h, i, light, floor, weight, isotropic, prior, n_d, steps, tolerance, matrix):
     """Levenberg-Marquardt in place on (frame, shape, rho[0]) until the gradient, in units of the data, is under `tolerance`.
 
     light, floor, weight [N]: samples, lower bounds, weights; isotropic: A = B and C = 0; prior: stiffness (in units of the
-    weighted square residual) that holds n to `n_d`. Returns (cost over the data's square norm, gradient norm, passes).
+    weighted square residual) that holds n to `n_d`; matrix [6, 6]: left with the normal equations at the end, without B and
+    with C's place taken by rho's where isotropic. Returns (cost over the data's square norm, gradient norm, passes).
     """
-    matrix, gradient = stack.matrix(6, 6), stack.vector(6)
+    gradient = stack.vector(6)
     matrix2, gradient2 = stack.matrix(6, 6), stack.vector(6)
     system, step = stack.matrix(6, 6), stack.vector(6)
     frame2, shape2 = stack.matrix(3, 3), stack.vector(3)
     size = weighted_square(light, weight)
+    matrix[:] = 0.0
     if not size > 0:
         return 0.0, 0.0, 0
     cost = normal_equations(lobe, frame, shape, rho[0], o, h, i, light, floor, weight, matrix, gradient)

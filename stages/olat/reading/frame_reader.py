@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import UserError
+from pipeline.formats.exr_frame import exr_frame
+from pipeline.formats.images import open_image, read_stored
 from stages.olat.reading.scanline_bands import Band, Picked, picked
 from stages.olat.reading.zip_frames import ZipFrames
 
@@ -29,10 +31,10 @@ class Samples:
 
 
 def is_half(path: Path) -> bool:
-    """Whether a frame stores half floats. Raises UserError."""
+    """Whether a frame stores half floats that are its picture. Raises UserError."""
     image, spec = _open(path)
     image.close()
-    return str(spec.format) == "half"
+    return str(spec.format) == "half" and exr_frame(spec, path).colour is None
 
 
 def read_bands(
@@ -104,11 +106,15 @@ def _read_part(frames: list[tuple[Path, Picked, NDArray]], half: bool) -> None:
 def read_rows(path: Path, top: int, bottom: int, width: int, height: int, half: bool) -> NDArray:
     """Scanlines [top, bottom) of a frame's R, G, B: [rows, W, 3] uint16 (half bits) or float32. Raises UserError."""
     image, spec = _open(path)
-    if (spec.width, spec.height) != (width, height):
+    frame = exr_frame(spec, path)
+    if frame.size != (width, height):
         image.close()
-        fault = f"is {spec.width}x{spec.height}, this camera's other frames {width}x{height}"
+        fault = f"is {frame.size[0]}x{frame.size[1]}, this camera's other frames {width}x{height}"
         raise UserError(path, fault, "export all frames of a camera alike")
     kind = "half" if half else "float"
+    if not frame.is_plain or spec.x or spec.y:
+        image.close()
+        return _picture_rows(path, top, bottom, half)
     if spec.tile_width:
         low, high = top - top % spec.tile_height, min(-(-bottom // spec.tile_height) * spec.tile_height, spec.height)
         pixels = image.read_tiles(0, 0, 0, spec.width, low, high, 0, 1, 0, spec.nchannels, kind)
@@ -125,6 +131,13 @@ def read_rows(path: Path, top: int, bottom: int, width: int, height: int, half: 
     return _rgb(pixels, list(spec.channelnames), path).view(np.uint16 if half else np.float32)
 
 
+def _picture_rows(path: Path, top: int, bottom: int, half: bool) -> NDArray:
+    """The same of a frame whose stored pixels are not its picture: read whole. Raises UserError."""
+    pixels, names, _ = read_stored(path, plain=True)
+    rows = _rgb(pixels[top:bottom], names, path).astype(np.float16 if half else np.float32)
+    return rows.view(np.uint16 if half else np.float32)
+
+
 def _rgb(pixels: NDArray, names: list[str], path: Path) -> NDArray:
     """R, G, B by name; a single channel stands for all three."""
     lower = [name.lower() for name in names]
@@ -138,12 +151,7 @@ def _rgb(pixels: NDArray, names: list[str], path: Path) -> NDArray:
 
 
 def _open(path: Path):
-    import OpenImageIO as oiio
-
     if not path.is_file():
         raise UserError(path, "no such frame", "run decode again, or copy the frame back")
-    image = oiio.ImageInput.open(str(path))
-    if image is None:
-        reason = (oiio.geterror().strip().splitlines() or ["no reason given"])[0]
-        raise UserError(path, f"cannot be read as an image ({reason})", "copy it again from its source")
+    image = open_image(path, plain=True)
     return image, image.spec()

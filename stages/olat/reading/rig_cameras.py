@@ -10,10 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.capture.naming.files import some
 from pipeline.engine.stage import StageRun
 from pipeline.errors import UserError
 from pipeline.formats.images import read_mask
 from pipeline.geometry.cameras import Camera, camera_from_frame
+from pipeline.rig.frame_files import frames_root
 from stages.olat.parameters import OlatParameters, every
 from stages.olat.reading.frame_reader import is_half
 from stages.olat.reading.scanline_bands import Band, bands_of
@@ -40,11 +42,25 @@ def decoded(stage: StageRun) -> dict[str, Any]:
 
 
 def camera_jobs(stage: StageRun) -> list[CameraJob]:
-    """Every camera, with its mask (masks stage, else the capture's, else the whole frame). Raises UserError."""
-    return [_job(stage, name, entry) for name, entry in decoded(stage)["cameras"].items()]
+    """Every camera that sees the object, with its mask (masks stage, else the capture's, else the whole frame).
+
+    Raises UserError where none does, or masks and frames differ in size.
+    """
+    index = decoded(stage)
+    frames = frames_root(index, stage.capture.root, stage.inputs["decode"])
+    found = {name: _job(stage, name, entry, frames) for name, entry in index["cameras"].items()}
+    jobs = [job for job in found.values() if job is not None]
+    blind = [name for name, job in found.items() if job is None]
+    if not jobs:
+        raise UserError(stage.capture.root, "no camera's mask shows an object", "mend the masks")
+    if blind:
+        stage.warn(
+            f"{stage.capture.root}: no object in the mask of {some(blind)}: left out; check the mask if it should be seen"
+        )
+    return jobs
 
 
-def _job(stage: StageRun, name: str, entry: dict[str, Any]) -> CameraJob:
+def _job(stage: StageRun, name: str, entry: dict[str, Any], frames: Path) -> CameraJob | None:
     root = stage.capture.root
     parameters: OlatParameters = stage.parameters
     camera = camera_from_frame({"file_path": name, **entry["camera"]}, {}, stage.inputs["decode"] / "olat.json")
@@ -57,9 +73,9 @@ def _job(stage: StageRun, name: str, entry: dict[str, Any]) -> CameraJob:
             path or root, f"is {mask.shape[1]}x{mask.shape[0]}, the frames {shape[1]}x{shape[0]}", "make it their size"
         )
     if not mask.any():
-        raise UserError(path or root, "the mask is all black: no object in this view", "mend the mask")
+        return None
     step = every(parameters.lights)
-    cross, parallel = ([root / p for p in entry[key]][::step] for key in ("cross", "parallel"))
+    cross, parallel = ([frames / p for p in entry[key]][::step] for key in ("cross", "parallel"))
     half = all(is_half(path) for path in (cross[0], parallel[0]))
     bands = bands_of(mask, len(cross), parameters.band_mb, 2 if half else 4)
     return CameraJob(name, cross, parallel, camera, mask, half, bands)

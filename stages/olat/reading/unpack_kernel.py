@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import carray, types
 
+from pipeline.formats.exr_kernels import undo_predictor
 from pipeline.kernels.native import machine_code
 
 
@@ -14,9 +15,6 @@ def unpack(rows, width, channels, parts, chunk, first, red, green, blue, size, d
     data uint8: inflated chunks of `chunk` rows, each with its channels' samples row by row, a sample being `parts` words of 16
     bits; stored uint8: 1 for a chunk that was not compressed; starts int64 [rows + 1], columns int32 [P]: the pixels of each of
     the `rows` wanted; red, green, blue: which channels; words uint16: room for a chunk.
-
-    In a compressed chunk each byte is stored as its difference to the one before plus 128, the samples' low bytes before their
-    high ones (OpenEXR). The running sum over the high half starts at that of the whole low half, so both run at once.
     """
     length = width * parts  # words of a channel in a row
     line = length * channels
@@ -33,13 +31,7 @@ def unpack(rows, width, channels, parts, chunk, first, red, green, blue, size, d
             for i in range(count):
                 row[i] = packed[2 * i] | (np.uint16(packed[2 * i + 1]) << np.uint16(8))
         else:
-            low, high = np.uint32(128), np.uint32(128 + 128 * count)  # the first byte is stored as it is
-            for i in range(count):
-                high += packed[i]
-            for i in range(count):
-                low += np.uint32(packed[i]) + np.uint32(128)
-                high += np.uint32(packed[count + i]) + np.uint32(128)
-                row[i] = np.uint16((low & np.uint32(255)) | ((high & np.uint32(255)) << np.uint32(8)))
+            undo_predictor(packed, row[:count])
         for y in range(max(top, first), min(bottom, first + rows)):
             here = row[(y - top) * line :]
             for p in range(begins[y - first], begins[y - first + 1]):

@@ -6,6 +6,8 @@ import numpy as np
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
+from pipeline.geometry.rays import RayMesh
+
 from ..initialise.hull import HullMesh, smoothed, without_debris
 
 RESOLUTION = 128  # voxels along the longest side
@@ -30,7 +32,6 @@ def hollowed(mesh: HullMesh, field: DepthField, resolution: int = RESOLUTION) ->
 
     `resolution`: voxels along the longest side. None where nothing would be left.
     """
-    import open3d as o3d
     from skimage.measure import marching_cubes
 
     low, high = mesh.vertices.min(0), mesh.vertices.max(0)
@@ -39,16 +40,13 @@ def hollowed(mesh: HullMesh, field: DepthField, resolution: int = RESOLUTION) ->
     shape = np.ceil((high + 3 * spacing - low) / spacing).astype(int) + 1
     axes = [low[k] + spacing * np.arange(shape[k]) for k in range(3)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
-    scene = o3d.t.geometry.RaycastingScene()
-    vertices = o3d.core.Tensor(mesh.vertices.astype(np.float32))
-    scene.add_triangles(vertices, o3d.core.Tensor(mesh.triangles.astype(np.uint32)))
-    query = o3d.core.Tensor(grid.astype(np.float32))
-    solid = scene.compute_occupancy(query).numpy().reshape(shape) > 0
+    surface = RayMesh(mesh.vertices, mesh.triangles)
+    solid = surface.inside(grid).reshape(shape)
     # Whole voxels far from the surface; the exact distance where the new surface can run.
     inside = spacing * (ndimage.distance_transform_edt(solid) - ndimage.distance_transform_edt(~solid)).ravel()
     near = (inside > -3 * spacing) & (inside < float(field.depths.max()) + 3 * spacing)
     points = grid[near]
-    foot = scene.compute_closest_points(o3d.core.Tensor(points.astype(np.float32)))["points"].numpy()
+    foot = surface.closest(points).position
     distance = np.linalg.norm(points - foot, axis=-1)
     inside[near] = np.where(solid.ravel()[near], distance, -distance) - field.at(foot)
     volume = without_debris(ndimage.gaussian_filter(inside.reshape(shape), 0.8))

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
+from pipeline.geometry.rays import RayMesh
+
 from ..initialise.hull import HullMesh
 from ..initialise.sampling import sample_evenly
 from .depths import sample_depths
@@ -86,17 +88,11 @@ class _Sight:
     """Which views see a point at a depth below the mesh, if the matter right above it were gone."""
 
     def __init__(self, mesh: HullMesh, images: Sequence[ViewImage]) -> None:
-        import open3d as o3d
-
         self.images = images
-        self.scene = o3d.t.geometry.RaycastingScene()
-        vertices = o3d.core.Tensor(mesh.vertices.astype(np.float32))
-        self.scene.add_triangles(vertices, o3d.core.Tensor(mesh.triangles.astype(np.uint32)))
+        self.solid = RayMesh(mesh.vertices, mesh.triangles)
 
     def observe(self, surface: np.ndarray, normals: np.ndarray, depth: float) -> Observations:
         """What the views saw of the points `depth` below the surface points."""
-        import open3d as o3d
-
         points = surface - depth * normals
         centres = np.array([image.camera.centre for image in self.images])
         towards = centres[:, None] - points
@@ -104,11 +100,10 @@ class _Sight:
         visible = (towards * normals).sum(-1) > FACING
         k, p = np.nonzero(visible)
         origins = points[p] + (START * normals[p] if depth == 0 else 0.0)
-        rays = o3d.core.Tensor(np.concatenate([origins, towards[k, p]], -1).astype(np.float32))
-        first = self.scene.cast_rays(rays)["t_hit"].numpy()
+        first = self.solid.distance(origins, towards[k, p])
         if depth == 0:
             free = ~np.isfinite(first)
         else:  # out through the surface above, and never in again
-            free = (self.scene.count_intersections(rays).numpy() == 1) & (first < depth / FACING + START)
+            free = (self.solid.crossings(origins, towards[k, p]) == 1) & (first < depth / FACING + START)
         visible[k, p] = free
         return observe(self.images, points, visible, towards.astype(np.float32))

@@ -9,7 +9,9 @@ import numpy as np
 from scipy import ndimage, sparse
 
 from pipeline.errors import UserError
+from pipeline.geometry.axes import nearest_to_lines
 from pipeline.geometry.cameras import Camera
+from pipeline.geometry.normals import vertex_normals
 
 from .points import PointSurface
 
@@ -68,11 +70,9 @@ def bounds(silhouettes: Sequence[Silhouette]) -> tuple[np.ndarray, float]:
     if not centres:
         raise UserError("masks", "every mask is empty", "check the masks")
     o, d = np.array(centres), np.array(directions)
-    onto = np.eye(3)[None] - d[:, :, None] * d[:, None, :]
-    normal = onto.sum(0)
-    if np.linalg.cond(normal) > 1e6:
+    centre = nearest_to_lines(o, d)
+    if centre is None:
         raise UserError("cameras", "every view looks along the same line", "photograph the object from around it")
-    centre = np.linalg.solve(normal, (onto @ o[:, :, None]).sum(0)[:, 0])
     depths = np.einsum("vk,vk->v", centre - o, d)
     if np.median(depths) <= 0:
         raise UserError("cameras", "the views look away from each other's object", "check the camera convention")
@@ -219,13 +219,3 @@ def smoothed(vertices: np.ndarray, triangles: np.ndarray, rounds: int) -> HullMe
         for step in (0.5, -0.53):
             v = v + step * (average @ v - v)
     return HullMesh(v, triangles, vertex_normals(v, triangles))
-
-
-def vertex_normals(vertices: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """Unit area-weighted vertex normals [V, 3]."""
-    a, b, c = (vertices[triangles[:, k]] for k in range(3))
-    face = np.cross(b - a, c - a)
-    out = np.zeros_like(vertices)
-    for k in range(3):
-        np.add.at(out, triangles[:, k], face)
-    return out / np.maximum(np.linalg.norm(out, axis=-1, keepdims=True), 1e-30)  # an unused vertex keeps a zero normal

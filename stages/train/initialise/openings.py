@@ -16,6 +16,7 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from pipeline.geometry.cameras import Camera
+from pipeline.geometry.rays import RayMesh
 
 from .hull import HullMesh, signed_distance, smoothed
 
@@ -101,19 +102,14 @@ class _Rays:
     """The views' rays against the mesh."""
 
     def __init__(self, mesh: HullMesh, views: Sequence[OpeningView], pixel: float) -> None:
-        import open3d as o3d
-
-        self.tensor = o3d.core.Tensor
-        self.scene = o3d.t.geometry.RaycastingScene()
-        vertices = self.tensor(mesh.vertices.astype(np.float32))
-        self.scene.add_triangles(vertices, self.tensor(mesh.triangles.astype(np.uint32)))
+        self.solid = RayMesh(mesh.vertices, mesh.triangles)
         self.views = views
         self.distances = [signed_distance(v.openness, blur=0.35) for v in views]
         self.pixel = pixel
 
     def inside(self, points: np.ndarray) -> np.ndarray:
         """Distance to the mesh [M], positive inside."""
-        return -self.scene.compute_signed_distance(self.tensor(points.astype(np.float32))).numpy()
+        return self.solid.signed_distance(points)
 
     def film(self, mesh: HullMesh) -> NDArray[np.bool_]:
         """Vertices that two views see with an opening behind them or beside."""
@@ -152,9 +148,7 @@ class _Rays:
         """How far behind the first surface that the camera sees in their direction points lie [M]."""
         offset = points - camera.centre
         distance = np.linalg.norm(offset, axis=-1)
-        rays = np.concatenate([np.broadcast_to(camera.centre, offset.shape), offset / distance[:, None]], -1)
-        hit = self.scene.cast_rays(self.tensor(rays.astype(np.float32)))["t_hit"].numpy()
-        return distance - hit
+        return distance - self.solid.distance(camera.centre, offset / distance[:, None])
 
 
 def _at(camera: Camera, image: np.ndarray, points: np.ndarray) -> np.ndarray:

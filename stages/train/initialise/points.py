@@ -9,6 +9,9 @@ from typing import Any
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError, cKDTree
 
+from pipeline.formats.ply import Ply
+from pipeline.geometry.rays import RayMesh
+
 NEIGHBOURS = 12  # of a local plane: fewer follow the noise, more round off what 1000 points can show
 FAR = 2.5  # an outlier's neighbours are further than this many times the usual distance
 OFF_PLANE = 4.0  # an outlier is further from its neighbours' plane than this many times the usual distance
@@ -31,17 +34,10 @@ class OrientedPoints:
 
 
 def read_points(path: Path) -> np.ndarray:
-    """Positions float64 [N, 3] of a binary point PLY as the poses stage writes it; [0, 3] where there is none."""
+    """Finite positions float64 [N, 3] of a point PLY; [0, 3] where there is no such file. Raises UserError."""
     if not path.exists():
         return np.zeros((0, 3))
-    data = path.read_bytes()
-    end = data.index(b"end_header\n") + len(b"end_header\n")
-    lines = data[:end].decode("ascii").splitlines()
-    count = int(next(line.split()[-1] for line in lines if line.startswith("element vertex")))
-    kinds = {"float": "<f4", "double": "<f8", "uchar": "u1"}
-    table = np.dtype([(line.split()[2], kinds[line.split()[1]]) for line in lines if line.startswith("property")])
-    rows = np.frombuffer(data, table, count, end)
-    points = np.stack([rows[axis].astype(np.float64) for axis in "xyz"], -1)
+    points = Ply(path).vertices()
     return points[np.isfinite(points).all(-1)]
 
 
@@ -113,15 +109,11 @@ class PointSurface:
         with o3d.utility.VerbosityContextManager(o3d.utility.VerbosityLevel.Error):
             # one thread: with more the result changes from run to run
             mesh, _ = o3d.geometry.TriangleMesh.create_from_point_cloud_poisson(legacy, depth=depth, n_threads=1)
-        self.scene: Any = o3d.t.geometry.RaycastingScene()
-        self.scene.add_triangles(o3d.t.geometry.TriangleMesh.from_legacy(mesh))
+        self.solid = RayMesh(np.asarray(mesh.vertices), np.asarray(mesh.triangles))
 
     def signed_distance(self, points: np.ndarray) -> np.ndarray:
         """Signed distance [M] (world units, positive inside) at points [M, 3]."""
-        import open3d as o3d
-
-        query = o3d.core.Tensor(((points - self.middle) / self.size).astype(np.float32))
-        out = -self.scene.compute_signed_distance(query).numpy() * self.size
+        out = self.solid.signed_distance((points - self.middle) / self.size) * self.size
         if self.fades:
             nearest, _ = self.tree.query(points)
             out = out + np.maximum(nearest - SUPPORT * self.cloud.spacing, 0)

@@ -6,6 +6,7 @@ import numpy as np
 from scipy import ndimage
 
 from pipeline.geometry.cameras import Camera
+from pipeline.geometry.rays import RayMesh
 
 from .hull import HullMesh
 
@@ -20,17 +21,10 @@ def are_masks(masks: list[np.ndarray]) -> bool:
 
 def outline(mesh: HullMesh, camera: Camera) -> np.ndarray:
     """Mask float32 [H, W] of the mesh (in the camera's world): 1 on it, 0 off it, 0.5 where its outline may be."""
-    import open3d as o3d
-
     middle = 0.5 * (mesh.vertices.max(0) + mesh.vertices.min(0))
     size = float(np.ptp(mesh.vertices, axis=0).max())  # open3d casts rays in float32
-    scene = o3d.t.geometry.RaycastingScene()
-    vertices = ((mesh.vertices - middle) / size).astype(np.float32)
-    scene.add_triangles(o3d.core.Tensor(vertices), o3d.core.Tensor(mesh.triangles.astype(np.uint32)))
-    rays = camera.rays()
-    origins = np.broadcast_to((camera.centre - middle) / size, rays.shape)
-    answer = scene.cast_rays(o3d.core.Tensor(np.concatenate([origins, rays], -1).astype(np.float32)))
-    hit = np.isfinite(answer["t_hit"].numpy())
+    solid = RayMesh((mesh.vertices - middle) / size, mesh.triangles)
+    hit = np.isfinite(solid.distance((camera.centre - middle) / size, camera.rays()))
     near = ndimage.binary_dilation(hit, iterations=MARGIN)
     core = ndimage.binary_erosion(hit, iterations=MARGIN, border_value=1)
     return (0.5 * near + 0.5 * core).astype(np.float32)

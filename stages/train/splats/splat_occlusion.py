@@ -12,9 +12,11 @@ import numpy as np
 import torch
 from scipy.spatial import cKDTree
 
+from pipeline.geometry.normals import vertex_normals
+from pipeline.geometry.rays import RayMesh
 from pipeline.shading import LightField, Occlusion, shade
 
-from ..initialise.hull import HullMesh, vertex_normals
+from ..initialise.hull import HullMesh
 from .gaussians import SplatModel, Splats
 from .surface_graph import SurfaceGraph
 
@@ -30,7 +32,7 @@ LEAST_BLOCKED = 0.004  # mean share of blocked diffuse rays below which the obje
 class Occluder:
     """A triangle mesh to cast rays at, and for each vertex the nearest splat (whose material it shows)."""
 
-    scene: object
+    rays: RayMesh
     vertices: np.ndarray
     triangles: np.ndarray
     normals: np.ndarray
@@ -41,33 +43,24 @@ class Occluder:
 
         A first hit from behind means that the ray began just under the surface: it counts as free.
         """
-        import open3d as o3d
-
-        rays = o3d.core.Tensor(np.concatenate([origins, directions], -1).astype(np.float32))
-        answer = self.scene.cast_rays(rays)  # type: ignore[attr-defined]
-        triangle = answer["primitive_ids"].numpy().astype(np.int64)
-        facing = (answer["primitive_normals"].numpy() * directions).sum(-1) < 0
-        hit = np.isfinite(answer["t_hit"].numpy()) & facing
-        uv = answer["primitive_uvs"].numpy()
-        corner = np.stack([1 - uv.sum(-1), uv[:, 0], uv[:, 1]], -1).argmax(-1)
+        found = self.rays.cast(origins, directions)
+        hit = found.hit & ((found.normal * directions).sum(-1) < 0)
         splat = np.full(len(hit), -1, np.int64)
-        splat[hit] = self.splat_of_vertex[self.triangles[triangle[hit], corner[hit]]]
+        splat[hit] = self.splat_of_vertex[self.triangles[found.triangle[hit], found.corner[hit]]]
         return hit, splat
 
 
 def carried_hull(hull: HullMesh, model: SplatModel) -> Occluder:
     """The hull with every vertex moved as its nearest splats have moved since the start."""
-    import open3d as o3d
-
     anchors = model["anchor"].detach().cpu().double().numpy()
     moved = model["position"].detach().cpu().double().numpy() - anchors
     distance, index = cKDTree(anchors).query(hull.vertices, k=min(NEAREST, len(anchors)))
     weight = 1 / (distance**2 + (0.25 * np.median(distance[:, -1])) ** 2)  # inverse squares, level within a quarter spacing
     weight /= weight.sum(-1, keepdims=True)
     vertices = hull.vertices + (weight[..., None] * moved[index]).sum(1)
-    scene = o3d.t.geometry.RaycastingScene()
-    scene.add_triangles(o3d.core.Tensor(vertices.astype(np.float32)), o3d.core.Tensor(hull.triangles.astype(np.uint32)))
-    return Occluder(scene, vertices, hull.triangles, vertex_normals(vertices, hull.triangles), index[:, 0])
+    return Occluder(
+        RayMesh(vertices, hull.triangles), vertices, hull.triangles, vertex_normals(vertices, hull.triangles), index[:, 0]
+    )
 
 
 @dataclass(frozen=True)

@@ -11,15 +11,19 @@ import numpy as np
 import torch
 from scipy import ndimage
 
+from pipeline.capture.model import Polarisation as Mode
+from pipeline.capture.view_rules import held_back
 from pipeline.errors import UserError
+from pipeline.formats import dataset_files as files
+from pipeline.formats.backdrop import grown
 from pipeline.formats.images import read_exr, read_image
 from pipeline.geometry.cameras import Camera, load_cameras
+from pipeline.geometry.lens import FRAMES
 
 from .training_frame import SceneFrame
 
-Mode = Literal["stokes", "polarisers", "none"]
-Split = Literal["train", "validation", "test"]
-TEST_EVERY = 8  # the contract: every 8th of the sorted views, from the first, unless the capture's tables say
+Split = Literal["train", "validation", "test", "left_out"]
+LEARNT = ("train", "validation")  # the rest is rendered, not learnt from: test views, and views that do not show the object
 BLACK_BACKGROUND = 0.01  # background radiance over foreground radiance below which the edge pixels are premultiplied
 OPENING = 2.5e-3  # radiance (mean foreground = 0.25) below which no outer side of any dielectric under a sky is: 1/100 of
 # the mean, when its mirror reflection alone gives a twentieth
@@ -74,20 +78,22 @@ class View:
 
 def load_sources(decode: Path, poses: Path, masks: Path | None, polarisation: str) -> tuple[list[SourceView], Mode]:
     """Every decoded view that has a camera, sorted by name. Raises UserError on what cannot be trained."""
-    index_path = decode / "frames.json"
+    index_path = decode / FRAMES
     index = json.loads(index_path.read_text())
-    cameras = load_cameras(poses / "cameras.json")
+    cameras = load_cameras(poses / files.CAMERAS)
     mode: Mode = index["polarisation"]
     if polarisation != "auto" and polarisation != mode:
         mode = _reduced_mode(mode, polarisation, index_path)
     names = sorted(index["views"])
-    parts = index.get("parts") or {name: "test" for name in names[::TEST_EVERY]}
+    parts = held_back(names, index.get("parts"))
     sources = []
     for name in names:
         if name not in cameras:
             continue
         split: Split = parts.get(name, "train")
-        sources.append(_load(name, index["views"][name], cameras[name], decode, masks, split, mode))
+        source = _load(name, index["views"][name], cameras[name], decode, masks, split, mode)
+        unseen = split == "train" and not (source.mask > 0.5).any()
+        sources.append(replace(source, split="left_out") if unseen else source)
     usable = [s for s in sources if s.split == "train" and ((s.mask > 0.5) & s.valid).sum() > 20]
     if len(usable) < FEWEST_VIEWS:
         raise UserError(
@@ -107,8 +113,7 @@ def _reduced_mode(stored: str, wanted: str, path: Path) -> Mode:
 def _load(name: str, entry: dict, camera: Camera, decode: Path, masks: Path | None, split: Split, mode: Mode) -> SourceView:
     channels = read_exr(decode / entry["file"])
     height, width = next(iter(channels.values())).shape
-    camera = camera if (camera.width, camera.height) == (width, height) else camera.resized(width, height)
-    camera = replace(camera, name=entry.get("camera") or camera.name)
+    camera = replace(camera.resized(width, height), name=entry.get("camera") or camera.name)
     if "S0.R" in channels:
         parts = 3 if mode == "stokes" else 1
         image = np.stack([np.stack([channels[f"S{k}.{c}"] for c in "RGB"], -1) for k in range(parts)], -2)
@@ -119,9 +124,9 @@ def _load(name: str, entry: dict, camera: Camera, decode: Path, masks: Path | No
         valid &= read_image(decode / entry["saturated"])[..., 0] < 0.5
     mask = np.ones((height, width), np.float32)
     if masks is not None:
-        mask = read_image(masks / f"{name}.png")[..., 0]
+        mask = read_image(files.mask(masks, name))[..., 0]
         if mask.shape != (height, width):
-            raise UserError(masks / f"{name}.png", f"is {mask.shape[::-1]}, its image {width}x{height}", "redo the masks")
+            raise UserError(files.mask(masks, name), f"is {mask.shape[::-1]}, its image {width}x{height}", "redo the masks")
     return SourceView(name, split, camera, np.nan_to_num(image, posinf=0.0, neginf=0.0), mask, valid)
 
 
@@ -231,7 +236,7 @@ def openness(source: SourceView, exposure: float) -> np.ndarray:
     opening = opening_pixels(source, exposure)
     bright = source.image[:, :, 0].max(-1)
     full = np.asarray(ndimage.maximum_filter(np.where(opening, 0.0, bright), 5))
-    rim = ndimage.binary_dilation(opening, structure=np.ones((3, 3), bool)) & ~opening & (source.mask > 0.99)
+    rim = grown(opening) & ~opening & (source.mask > 0.99)
     share = 1 - bright / np.maximum(full, 1e-30)  # 0 / 0 where all about is black, which is no rim
     return np.where(opening, 1.0, np.where(rim, np.clip(share, 0.0, 1.0), 0.0))
 
@@ -251,12 +256,12 @@ def prepare(source: SourceView, frame: SceneFrame, black: bool, device: str = "c
     camera = frame.camera(source.camera)
     full = source.mask > 0.99
     any_ = source.mask > 0.01
-    grown = ndimage.binary_dilation(any_, structure=np.ones((3, 3), bool))
+    wide = grown(any_)
     core = full & ndimage.binary_erosion(full, border_value=1)
-    counted = (grown if black else core) & source.valid
-    alpha_weight = np.where(core | ~grown, 1.0, 0.0) if black else np.where(core | ~any_, 1.0, 0.25)
+    counted = (wide if black else core) & source.valid
+    alpha_weight = np.where(core | ~wide, 1.0, 0.0) if black else np.where(core | ~any_, 1.0, 0.25)
     opening = opening_pixels(source, frame.exposure) if openings else np.zeros(full.shape, bool)
-    near_opening = ndimage.binary_dilation(opening, structure=np.ones((3, 3), bool))
+    near_opening = grown(opening)
     alpha_weight = np.where(opening, 1.0, np.where(near_opening, 0.0, alpha_weight))
     index = np.flatnonzero(counted)
     rays = camera.rays().reshape(-1, 3)[index]

@@ -8,16 +8,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.geometry.cameras import Camera
-
-# Rows: the y-up frame's axes in the capture's world. z up: (x, y, z) becomes (x, z, -y), as the environment maps' page says.
-Y_UP_FROM_WORLD: dict[str, list[list[float]]] = {
-    "y": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],
-    "-y": [[1, 0, 0], [0, -1, 0], [0, 0, -1]],
-    "z": [[1, 0, 0], [0, 0, 1], [0, -1, 0]],
-    "-z": [[1, 0, 0], [0, 0, -1], [0, 1, 0]],
-    "x": [[0, -1, 0], [1, 0, 0], [0, 0, 1]],
-    "-x": [[0, 1, 0], [-1, 0, 0], [0, 0, 1]],
-}
+from pipeline.geometry.world import Y_UP_FROM
 
 
 @dataclass(frozen=True)
@@ -35,7 +26,7 @@ class SceneFrame:
     @classmethod
     def of(cls, up: str, centre: np.ndarray, scale: float) -> SceneFrame:
         """The frame of an object of half-size `scale` about `centre`, for a capture with this up axis."""
-        return cls(tuple(tuple(map(float, row)) for row in Y_UP_FROM_WORLD[up]), tuple(map(float, centre)), float(scale))
+        return cls(tuple(tuple(map(float, row)) for row in Y_UP_FROM[up]), tuple(map(float, centre)), float(scale))
 
     @property
     def train_from_world(self) -> np.ndarray:

@@ -1,0 +1,31 @@
+"""Rules about a capture's views that several stages keep."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, Literal
+
+if TYPE_CHECKING:
+    from pipeline.capture.model import Capture
+
+MIN_TRAINING_VIEWS = 8
+"""Fewer views around an object determine no model of it."""
+TEST_EVERY = 8
+"""Every how many-th view, in sorted order and from the first, tests the model, unless the capture's own tables say."""
+HeldBack = Literal["validation", "test"]
+
+
+def too_few_views(capture: Capture) -> str | None:
+    """Why a multi-view capture has no model, None where it has views enough."""
+    count = len(capture.views)
+    if count >= MIN_TRAINING_VIEWS:
+        return None
+    return f"too few views for a model: {count}, at least {MIN_TRAINING_VIEWS} are needed"
+
+
+def held_back(names: Iterable[str], parts: Mapping[str, str] | None = None) -> dict[str, HeldBack]:
+    """The views that take no part in training and what for, as the capture's own tables say (`parts`), else by TEST_EVERY."""
+    if not parts:
+        return dict.fromkeys(sorted(names)[::TEST_EVERY], "test")
+    known: dict[str, HeldBack] = {"validation": "validation", "test": "test"}
+    return {name: known[parts[name]] for name in names if parts.get(name) in known}

@@ -1,0 +1,77 @@
+"""G-buffers: what a trained model's views show in each pixel, one EXR of named channels a view."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.formats.images import RGB, read_image, write_exr
+
+Image = NDArray[np.float32]
+NORMAL = ("N.X", "N.Y", "N.Z")
+ALBEDO = ("albedo.R", "albedo.G", "albedo.B")
+MATERIAL = (*ALBEDO, "roughness", "ior")
+PARTS = ("diffuse", "specular")
+"""Beside the G-buffer of a held-back view stand its Stokes image and, as PART.R .. PART.B, the two parts of its s0."""
+CHANNELS = (*NORMAL, *MATERIAL, "alpha", "depth")
+
+
+@dataclass(frozen=True)
+class SurfaceImage:
+    """A view's surface: 0 where there is no object.
+
+    normal [H, W, 3] (unit, world); material [H, W, 5] (albedo R G B, roughness, IoR); alpha [H, W] (opacity 0..1);
+    depth [H, W] (along the camera's z, world units).
+    """
+
+    normal: Image
+    material: Image
+    alpha: Image
+    depth: Image
+
+    @property
+    def albedo(self) -> Image:
+        """Diffuse reflectance, linear RGB [H, W, 3]."""
+        return self.material[..., :3]
+
+    @property
+    def roughness(self) -> Image:
+        """Perceptual roughness [H, W]: alpha is its square."""
+        return self.material[..., 3]
+
+    @property
+    def ior(self) -> Image:
+        """Index of refraction [H, W]."""
+        return self.material[..., 4]
+
+
+def read_gbuffer(path: Path) -> SurfaceImage:
+    """A view's G-buffer. Raises UserError."""
+    a = read_image(path, CHANNELS)
+    return SurfaceImage(a[..., :3], a[..., 3:8], a[..., 8], a[..., 9])
+
+
+def surface_of(channels: Mapping[str, Image]) -> SurfaceImage:
+    """The G-buffer among an image's channels [H, W] by name, as a test view of the train stage holds it too."""
+    normal, material = (np.stack([channels[name] for name in names], -1) for names in (NORMAL, MATERIAL))
+    return SurfaceImage(normal, material, channels["alpha"], channels["depth"])
+
+
+def part_of(channels: Mapping[str, Image], part: str) -> Image:
+    """One of PARTS [H, W, 3] among an image's channels."""
+    return np.stack([channels[f"{part}.{c}"] for c in RGB], -1)
+
+
+def channels_of(surface: SurfaceImage) -> dict[str, Image]:
+    """A G-buffer as named channels float32 [H, W]; what is not finite is 0."""
+    images = [*np.moveaxis(surface.normal, -1, 0), *np.moveaxis(surface.material, -1, 0), surface.alpha, surface.depth]
+    return {name: np.nan_to_num(np.asarray(image, np.float32)) for name, image in zip(CHANNELS, images)}
+
+
+def write_gbuffer(path: Path, channels: Mapping[str, Image]) -> None:
+    """Write the G-buffer among an image's channels as float32 EXR. Raises UserError when it cannot write."""
+    write_exr(path, {name: channels[name] for name in CHANNELS})

@@ -1,0 +1,86 @@
+"""What a capture's gt/ tells of its views, cameras and lights; any of it may be absent (docs/captures.md lists the files)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.formats.arrays import array_names, read_array
+from pipeline.formats.images import XYZ, read_image
+from pipeline.formats.json_file import read_json
+
+FOLDER, MAPS = "gt", "maps.npz"
+TRUE_MAPS = ("mask", "normal", "albedo", "dp_du")
+"""The arrays of maps.npz that are read."""
+
+
+@dataclass(frozen=True)
+class Truth:
+    """Ground truth of a capture: its root, and its views in sorted order."""
+
+    root: Path
+    views: tuple[str, ...]
+
+    def find(self, kind: str, view: str, suffix: str = "exr") -> Path | None:
+        """gt/KIND/VIEW.exr, or by the view's place in sorted order (gt/KIND/007.exr)."""
+        names = [view, f"{self.views.index(view):03d}"] if view in self.views else [view]
+        paths = [self.root / FOLDER / kind / f"{name}.{suffix}" for name in names]
+        return next((path for path in paths if path.is_file()), None)
+
+    def images(self, kind: str) -> Iterator[tuple[str, Path]]:
+        """Every (view, gt/KIND/*.exr) that is of a view of this capture, by file name."""
+        by_place = {f"{k:03d}": view for k, view in enumerate(self.views)}
+        for path in sorted((self.root / FOLDER / kind).glob("*.exr")):
+            view = path.stem if path.stem in self.views else by_place.get(path.stem)
+            if view is not None:
+                yield view, path
+
+    def normal(self, view: str) -> NDArray[np.float32] | None:
+        """World normals [H, W, 3]. Raises UserError."""
+        path = self.find("normal", view)
+        return None if path is None else read_image(path, XYZ)
+
+    @property
+    def environment(self) -> Path:
+        """The map that lit the capture."""
+        return self.root / FOLDER / "env.hdr"
+
+    @property
+    def mesh(self) -> Path:
+        """The object's surface."""
+        return self.root / FOLDER / "mesh.ply"
+
+    def document(self, name: str) -> dict[str, Any] | None:
+        """A JSON file of gt/ (or of the capture's root), None where there is none. Raises UserError if it is broken."""
+        for path in (self.root / FOLDER / name, self.root / name):
+            if path.is_file():
+                return read_json(path, "mend or remove it")
+        return None
+
+    def polarisers(self) -> dict[str, float] | None:
+        """True polariser angles by physical camera (degrees). Raises UserError."""
+        table = self.document("polarisers.json")
+        if table is not None:
+            return {k: float(v) for k, v in table.items()}
+        table = self.document("gt_lp.json")
+        return None if table is None else {f"lp{i}": float(a) for i, a in enumerate(table["true_angles_deg"])}
+
+    def files(self) -> list[Path]:
+        """Every file of ground truth."""
+        root = self.root
+        loose = [root / "gt_brdf.json", root / "gt_lp.json", *sorted(root.glob(f"*/{FOLDER}/{MAPS}"))]
+        folder = sorted(p for p in (root / FOLDER).rglob("*") if p.is_file()) if (root / FOLDER).is_dir() else []
+        return [p for p in loose if p.is_file()] + folder
+
+
+def camera_maps(camera: Path) -> dict[str, NDArray] | None:
+    """The true maps (normal, albedo, mask, ...) in a light-stage camera's folder, None without any. Raises UserError."""
+    path = camera / FOLDER / MAPS
+    if not path.is_file():
+        return None
+    return {name: read_array(path, name) for name in array_names(path) if name in TRUE_MAPS}

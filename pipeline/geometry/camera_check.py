@@ -1,0 +1,101 @@
+"""Can this be a camera? One answer for every reader of cameras, which names its own file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Protocol, TypeVar
+
+import numpy as np
+
+from pipeline.errors import UserError
+
+ROTATION_TOLERANCE = 0.01
+"""Of R Rᵀ - 1: files that round to three digits pass, a scale of one percent does not."""
+SHORTEST_FOCAL = 0.01
+"""Of the longer side: a pinhole would see 179 degrees; it is a focal length in other units, such as image widths."""
+FURTHEST_CENTRE = 10.0
+"""Image sizes: crops keep their lens's principal point, but not so far away."""
+SAME_PLACE = 1e-9
+"""Of the coordinates: camera centres that differ by less than this are one."""
+
+
+class CameraLike(Protocol):
+    """What is checked of a `cameras.Camera`."""
+
+    @property
+    def width(self) -> int: ...
+    @property
+    def height(self) -> int: ...
+    @property
+    def fx(self) -> float: ...
+    @property
+    def fy(self) -> float: ...
+    @property
+    def cx(self) -> float: ...
+    @property
+    def cy(self) -> float: ...
+    @property
+    def distortion(self) -> tuple[float, ...]: ...
+    @property
+    def world_to_camera(self) -> np.ndarray: ...
+    @property
+    def centre(self) -> np.ndarray: ...
+
+
+AnyCamera = TypeVar("AnyCamera", bound=CameraLike)
+
+
+def check_camera(camera: AnyCamera, path: str | Path, what: str) -> AnyCamera:
+    """The camera, if it can be one. Raises UserError on `path`, naming `what` (the frame, the image) and the fault."""
+    fault, remedy = _fault(camera)
+    if fault:
+        raise UserError(path, f"{what}: {fault}", remedy)
+    return camera
+
+
+def _fault(camera: CameraLike) -> tuple[str, str]:
+    """What is wrong, and what to do; empty where nothing is."""
+    pose = np.asarray(camera.world_to_camera, float)
+    numbers = (camera.fx, camera.fy, camera.cx, camera.cy)
+    if pose.shape != (4, 4) or not np.isfinite(pose).all() or not np.isfinite(camera.centre).all():
+        return "the pose is not finite", "remove the view, or export its camera again"
+    if not np.isfinite(numbers).all() or not np.isfinite(camera.distortion).all():
+        return f"focal lengths and principal point {_listed(numbers)} are not finite", "export the camera again"
+    if camera.width <= 0 or camera.height <= 0:
+        return f"the size is {camera.width}x{camera.height}: it must be above 0", "give the size of the image in pixels"
+    if camera.fx <= 0 or camera.fy <= 0:
+        return f"the focal lengths {_listed(numbers[:2])} must be above 0", "give them in pixels"
+    longest = max(camera.width, camera.height)
+    if min(camera.fx, camera.fy) < SHORTEST_FOCAL * longest:
+        return f"the focal lengths {_listed(numbers[:2])} are not pixels of a {camera.width}x{camera.height} image", (
+            "give them in pixels"
+        )
+    if max(abs(camera.cx - camera.width / 2), abs(camera.cy - camera.height / 2)) > FURTHEST_CENTRE * longest:
+        return f"the principal point {_listed(numbers[2:])} is far off the {camera.width}x{camera.height} image", (
+            "give it in pixels from the image's top left corner"
+        )
+    turn = pose[:3, :3]
+    if np.abs(turn @ turn.T - np.eye(3)).max() > ROTATION_TOLERANCE or np.linalg.det(turn) < 0:
+        return "the 3x3 part of its matrix is no rotation", "take scale and mirroring out of it"
+    if not np.allclose(pose[3], [0, 0, 0, 1], atol=1e-6):
+        return "the last row of its matrix is not 0 0 0 1", "write matrices row by row"
+    return "", ""
+
+
+def _listed(numbers: tuple[float, ...]) -> str:
+    return ", ".join(f"{x:g}" for x in numbers)
+
+
+FEWEST_TO_JUDGE = 8
+"""Views, that is what training needs: fewer are looked at, not made a model of, and may well come from one tripod."""
+
+
+def refuse_one_place(cameras: Mapping[str, CameraLike], path: str | Path) -> None:
+    """Raise UserError where all cameras stand at one place: nothing of a shape can be told from there."""
+    if len(cameras) < FEWEST_TO_JUDGE:
+        return
+    centres = np.stack([camera.centre for camera in cameras.values()])
+    if np.ptp(centres, axis=0).max() <= SAME_PLACE * max(1.0, float(np.abs(centres).max())):
+        remedy = "give each view its own pose, or remove them to have them found"
+        raise UserError(path, f"all {len(cameras)} cameras stand at one place", remedy)

@@ -1,0 +1,132 @@
+"""How well the lights tell a fitted lobe: standard deviations by its normal equations, and how near a light comes to its peak.
+
+A fit always ends somewhere. Where the samples see only a lobe's flank, or fewer of it than it has parameters, they are matched
+by many lobes, and the one that is found is chance: widths and albedo then have variances that say so.
+"""
+
+from __future__ import annotations
+
+import math
+
+from pipeline.kernels.compiling import kernel
+from pipeline.kernels.numerics import FAST, ZERO, cholesky_solve
+from pipeline.kernels.scratch import matrix, vector
+
+SURE = 0.15
+"""Standard deviation of the log of a width or of the albedo up to which a lobe counts as told: half of a value (0.4 in the log)
+is then 2.7 of them away."""
+NEAREST = 1.2
+"""Widths between the lobe's peak and the nearest half vector that a light shows: a Gaussian has fallen to 0.24 there, and what
+is said of the peak is more extrapolated than seen."""
+GRAIN = 1e-3
+"""Of the brightest sample: the standard deviation that half floats and the lobe's own form leave at best."""
+UNTOLD = 1e6  # standard deviation of what the samples do not tell
+
+
+@kernel(fastmath=FAST, error_model="numpy")
+def strong(light, use, level):
+    """Sum and sum of squares of the samples above `level`: noise, which lies below it, is no light."""
+    whole = squares = ZERO * level
+    for k in range(light.size):
+        v, u = light[k], use[k]
+        v = v if (u > ZERO) & (v > level) else ZERO
+        whole += v
+        squares += v * v
+    return float(whole), float(squares)
+
+
+@kernel(fastmath=FAST, error_model="numpy")
+def _nearest(hx, hy, hz, use, tx, ty, tz, bx, by, bz, nx, ny, nz, a, b):
+    """Least square distance, in widths 1/a along t and 1/b along b, of a light's half vector from the normal (in slopes)."""
+    least = ZERO * a + 1e30
+    for k in range(hx.size):
+        z = nx * hx[k] + ny * hy[k] + nz * hz[k]
+        u = a * (tx * hx[k] + ty * hy[k] + tz * hz[k])
+        v = b * (bx * hx[k] + by * hy[k] + bz * hz[k])
+        r = (u * u + v * v) / (z * z)
+        least = min(least, r if (use[k] > ZERO) & (z > ZERO) else least)
+    return least
+
+
+@kernel(error_model="numpy")
+def nearest(half, use, frame, large, small):
+    """Distance, in widths, of the half vector nearest to the peak of a lobe in `frame` (t along the larger width)."""
+    k = half[0].dtype.type
+    t, b, n = frame[0], frame[1], frame[2]
+    return math.sqrt(_nearest(half[0], half[1], half[2], use, k(t[0]), k(t[1]), k(t[2]), k(b[0]), k(b[1]), k(b[2]),
+                              k(n[0]), k(n[1]), k(n[2]), k(1.0 / large), k(1.0 / small)))  # fmt: skip
+
+
+@kernel(fastmath=FAST, error_model="numpy")
+def _noise(g, rho, light, floor, weight):
+    square = count = ZERO * rho
+    for k in range(g.size):
+        r = rho * g[k] - light[k]
+        w = weight[k] if floor[k] == ZERO else ZERO
+        square += w * r * r
+        count += w
+    return float(square), float(count)
+
+
+@kernel(error_model="numpy")
+def deviation(equations, n, shape, rho, light, floor, weight, g, tied, fixed, top):
+    """Largest standard deviation of the log widths and the log albedo, `UNTOLD` where the samples leave one of them free.
+
+    equations [6, 6]: normal equations of n parameters: d1, d2, A, rho of a round lobe (4), d1, d2, A, B, C, rho (6); tied: what
+    a tie to n_d added to the first two, which is taken out: only the samples tell; fixed: the normal was given; top: brightest
+    sample; g [N]: the lobe's values, see `specular.optimise` for the rest.
+    """
+    square, count = _noise(g, light.dtype.type(rho), light, floor, weight)
+    variance = max(square / max(count - n, 1.0), (GRAIN * top) ** 2)
+    scale, system, right, out = vector(6), matrix(6, 6), vector(6), vector(6)
+    for k in range(2):
+        if fixed:
+            for j in range(n):
+                equations[j, k] = equations[k, j] = 0.0
+            equations[k, k] = 1.0
+        else:
+            equations[k, k] -= tied
+    for k in range(n):
+        if not equations[k, k] > 0:
+            return UNTOLD
+        scale[k] = math.sqrt(equations[k, k])
+    worst = 0.0
+    for which in range(3 if n == 6 else 2):
+        for k in range(n):
+            right[k] = 0.0
+        if which == 0:
+            right[n - 1] = 1.0 / rho
+        elif n == 4:
+            right[2] = 1.0
+        else:
+            _width_slope(shape, which == 1, right)
+        for k in range(n):
+            right[k] /= scale[k]
+            for j in range(n):
+                system[k, j] = equations[k, j] / (scale[k] * scale[j])
+        if not cholesky_solve(system, right, n, out):
+            return UNTOLD
+        total = 0.0
+        for k in range(n):
+            total += right[k] * out[k]
+        worst = max(worst, total)
+    return min(math.sqrt(worst * variance), UNTOLD)
+
+
+@kernel(error_model="numpy")
+def _width_slope(shape, wide, out):
+    """Derivatives of the logarithm of the larger (`wide`) or the smaller width by A, B, C, into out[2:5].
+
+    The widths are 1 / sqrt of the eigenvalues of [[a², a c], [a c, c² + b²]].
+    """
+    a, b, c = math.exp(shape[0]), math.exp(shape[1]), shape[2]
+    xx, xy, yy = a * a, a * c, c * c + b * b
+    mean, half = 0.5 * (xx + yy), 0.5 * (xx - yy)
+    root = math.sqrt(half * half + xy * xy)
+    large = mean + root
+    value = (a * b) ** 2 / large if wide else large
+    angle = 0.5 * math.atan2(2 * xy, xx - yy) + (0.5 * math.pi if wide else 0.0)
+    x, y = math.cos(angle), math.sin(angle)
+    out[2] = -(x * x * a * a + x * y * a * c) / value
+    out[3] = -y * y * b * b / value
+    out[4] = -(x * y * a + y * y * c) / value
