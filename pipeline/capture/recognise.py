@@ -31,9 +31,8 @@ def open_capture(path: Path | str) -> Capture:
     if not root.is_dir():
         raise UserError(root, "is a file, not a capture folder", "give CAPTURE= the folder that holds the images")
     try:
-        entries = sorted(
-            entry.name + ("/" if entry.is_dir() else "") for entry in os.scandir(root) if not entry.name.startswith(".")
-        )
+        shown = [name for name in os.listdir(root) if not name.startswith(".")]
+        entries = sorted(name + "/" * os.path.isdir(root / name) for name in shown)
     except PermissionError:
         raise UserError(root, "cannot be read: permission denied", "make the folder readable") from None
     if not entries:

@@ -34,7 +34,7 @@ from tests.capture import conftest
 from tests.capture.conftest import Scene, frame
 from tests.capture.mutations import MUTATIONS
 
-TRIES = int(os.environ.get("POLARFIELD_FUZZ", "200"))
+TRIES = int(os.environ.get("POLARFIELD_FUZZ", "400"))
 ONLY = os.environ.get("POLARFIELD_FUZZ_SEED")
 LONGEST_S = 10
 CAMERA_FILE = """#focal length
@@ -162,7 +162,7 @@ def attempt(seed: int, sound: dict[str, Path]) -> None:
         outside.mkdir()
         work.mkdir(parents=True)
         for mutate in rng.choices(MUTATIONS, k=rng.choice((1, 1, 1, 2, 3))):
-            with contextlib.suppress(OSError, ValueError, UserError):  # what an earlier one spoiled can be spoiled no more
+            with contextlib.suppress(Exception):  # what an earlier one spoiled can be spoiled no more
                 mutate(root, rng)
         before = listing(root)
         with time_limit(), warnings.catch_warnings():

@@ -48,7 +48,7 @@ def refuse_special_files(root: Path) -> None:
         except OSError:
             continue  # a link to nothing, or to itself
         if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
-            raise UserError(entry.path, "is a pipe, a socket or a device, not a file", "remove it from the capture")
+            raise UserError(entry.path, "is not a regular file, but a pipe, a socket or a device", "remove it from the capture")
 
 
 def _entries(root: Path) -> Iterator[os.DirEntry[str]]:
