@@ -50,7 +50,7 @@ def sources_of(folder: Path, scratch: Path) -> tuple[list[Any], str, str]:
     from pipeline.capture import open_capture
     from pipeline.engine.plan import load_stages
     from pipeline.engine.stage import StageRun
-    from stages.train.views.data import load_sources
+    from stages.train.views.source_views import load_sources
 
     capture = open_capture(folder)
     modules = {"decode": "stages.calib.decode", "poses": "stages.calib.poses", "masks": "stages.masks"}
@@ -94,18 +94,18 @@ def figures(trainer: Any, sources: list[Any], truth: list[Any], folder: Path) ->
     from pipeline.shading import latlong
     from stages.train.evaluate import psnr
     from stages.train.render_view import mean_normals
-    from stages.train.views.data import prepare
+    from stages.train.views.view import prepare
 
     openings = any(view.openings > 0 for view in trainer.pyramids[0])
     values: dict[str, list[float]] = {}
     with torch.no_grad():
-        trainer.trace_surface(trainer.light(), trainer.scene.model.activated())
+        trainer.renderer.trace_surface(trainer.renderer.light(), trainer.scene.model.activated())
         for k, (source, true) in enumerate(zip(sources, truth)):
             if source.split != "test":
                 continue
             blank = replace(source, mask=np.ones_like(source.mask), valid=np.ones_like(source.valid))
             view = prepare(blank, trainer.frame, True)
-            rendered = trainer.render_whole(view)
+            rendered = trainer.renderer.render_whole(view)
             full = (source.mask > 0.99).reshape(-1)
             stokes = rendered.stokes / trainer.frame.exposure
             target = torch.as_tensor(true.image.reshape(-1, *true.image.shape[2:]))
@@ -143,10 +143,10 @@ def train_once(
 
     from pipeline.capture.model import PolariserPrior
     from pipeline.engine.progress import Progress
+    from stages.train.angle_search import search_angles
     from stages.train.parameters import TrainParameters
     from stages.train.setup import prepare_training
     from stages.train.trainer import Trainer
-    from stages.train.views.angle_search import search_angles
 
     torch.set_num_threads(1)
     parameters = replace(TrainParameters(), **changes)

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from stages.olat.pixel_fit.fit_options import Settings
+from stages.olat.pixel_fit.fit_options import FitOptions
 from stages.olat.pixel_fit.result_layout import columns
 from stages.olat.run import GAIN, MIXED, PRIOR
 
 AT = columns()
-SETTINGS = Settings(
+SETTINGS = FitOptions(
     lobe=1, rounds=8, robust=2, steps=15, tolerance=3e-6, saturation=np.inf, specular_factor=2.0, irradiance=np.pi, gain=GAIN,
     mixed=MIXED, prior=PRIOR, plain=False, specular_fit=0, fuse_correlation=False, printed_maps=False, remove=False,
     gradient=False,

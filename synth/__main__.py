@@ -48,8 +48,7 @@ def main() -> int:
     a = parser.parse_args()
     a.lights = a.lights or (LIGHTS_ANISOTROPIC if a.only == "anisotropic" else LIGHTS)
     try:
-        from . import stage_capture as lightstage
-        from . import view_capture as views
+        from . import stage_capture, view_capture
 
         try:
             import mitsuba  # noqa: F401
@@ -66,9 +65,9 @@ def main() -> int:
                 build(a.output / name, anisotropic.build, a.force, **options)
             return 0
         if a.only != "stage":
-            build(a.output / "views", views.make, a.force, size=a.size, views=a.views, spp=a.spp, seed=a.seed)
+            build(a.output / "views", view_capture.make, a.force, size=a.size, views=a.views, spp=a.spp, seed=a.seed)
         if a.only != "views":
-            build(a.output / "stage", lightstage.make, a.force, size=a.size, lights=a.lights, seed=a.seed)
+            build(a.output / "stage", stage_capture.make, a.force, size=a.size, lights=a.lights, seed=a.seed)
     except UserError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2

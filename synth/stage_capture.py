@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from pipeline.formats.images import write_exr, write_png, write_rgb
 
-from . import scene
+from . import mitsuba_scene
 from .environments import ENVIRONMENTS
 from .orbit import fibonacci_sphere, look_at
 from .shape import Shape, glaze, vase
@@ -51,7 +51,7 @@ def make(output: Path, size: int = 96, lights: int = 60, spp: int = 36, seed: in
     subject = subject or Subject(vase())
     towards = fibonacci_sphere(lights)
     pose = look_at(np.array(CAMERA_CM))
-    view = mi.load_dict(scene.sensor(pose, size, size, size / 2 / np.tan(np.radians(HALF_FIELD_DEG))))
+    view = mi.load_dict(mitsuba_scene.sensor(pose, size, size, size / 2 / np.tan(np.radians(HALF_FIELD_DEG))))
     camera = output / "cam00"
     output.mkdir(parents=True, exist_ok=True)
     _write_lights(output / "lights.csv", LIGHT_DISTANCE_CM * towards)
@@ -61,12 +61,12 @@ def make(output: Path, size: int = 96, lights: int = 60, spp: int = 36, seed: in
     write_rgb(output / "envmaps" / "studio.hdr", ENVIRONMENTS["studio"](128))
 
     shape = subject.shape.scaled(HEIGHT_CM / 2)
-    colour = scene.texture(glaze()) if subject.textured else {"type": "rgb", "value": subject.albedo}
-    lambert = scene.load_mesh(shape, {"type": "diffuse", "reflectance": colour}, subject.textured)
+    colour = mitsuba_scene.texture(glaze()) if subject.textured else {"type": "rgb", "value": subject.albedo}
+    lambert = mitsuba_scene.load_mesh(shape, {"type": "diffuse", "reflectance": colour}, subject.textured)
     mirror: dict[str, Any] = {"type": "roughconductor", "material": "none", "distribution": "beckmann"}
     mirror["alpha_u"], mirror["alpha_v"] = subject.sigma
     mirror["specular_reflectance"] = {"type": "rgb", "value": subject.specular}
-    glossy = scene.load_mesh(shape, mirror, subject.textured)
+    glossy = mitsuba_scene.load_mesh(shape, mirror, subject.textured)
     covered = _write_truth(camera, lambert, view, seed, spp)
     diffuse_under, specular_under = _Lit(lambert, view), _Lit(glossy, view)
     noise = np.random.default_rng(seed)
@@ -99,7 +99,9 @@ class _Lit:
         """Linear RGB [H, W, 3] under a light from `towards`."""
         self.parameters["light.to_world"] = _towards(towards)
         self.parameters.update()
-        film = scene.render(self.scene, self.view, {"type": "path", "max_depth": BOUNCES, "hide_emitters": True}, seed, spp)
+        film = mitsuba_scene.render(
+            self.scene, self.view, {"type": "path", "max_depth": BOUNCES, "hide_emitters": True}, seed, spp
+        )
         return np.stack([film[c] for c in "RGB"], -1)
 
 
@@ -116,8 +118,8 @@ def _write_truth(camera: Path, lambert: Any, view: Any, seed: int, spp: int) -> 
     import mitsuba as mi
 
     lit = mi.load_dict({"type": "scene", "object": lambert, "light": {"type": "constant"}})
-    coverage = scene.render(lit, view, {"type": "path", "max_depth": 2, "hide_emitters": True}, seed, spp)["A"]
-    film = scene.render(lit, view, {"type": "aov", "aovs": "n:sh_normal,a:albedo,t:dp_du"}, seed, spp)
+    coverage = mitsuba_scene.render(lit, view, {"type": "path", "max_depth": 2, "hide_emitters": True}, seed, spp)["A"]
+    film = mitsuba_scene.render(lit, view, {"type": "aov", "aovs": "n:sh_normal,a:albedo,t:dp_du"}, seed, spp)
     share = np.maximum(coverage, 1e-6)[..., None]  # numerators are 0 where the coverage is
     normal = np.stack([film[f"n.{c}"] for c in "XYZ"], -1)
     length = np.linalg.norm(normal, axis=-1, keepdims=True)

@@ -14,7 +14,7 @@ from pipeline.formats.images import STOKES, read_image, write_exr, write_png, wr
 from pipeline.formats.ply import write_ply
 from pipeline.geometry.cameras import camera_from_opengl
 
-from . import scene
+from . import mitsuba_scene
 from .environments import ENVIRONMENTS
 from .orbit import look_at, orbit
 from .shape import Shape, glaze, vase
@@ -44,13 +44,13 @@ def make(output: Path, size: int = 96, views: int = 16, spp: int = 144, seed: in
     (truth / "material.json").write_text(json.dumps(material, indent=1) + "\n")
     _write_transforms(output / "transforms.json", poses, size, focal)
 
-    plastic = {"type": "pplastic", "diffuse_reflectance": scene.texture(glaze()), "alpha": ALPHA, "int_ior": IOR}
-    mesh = scene.load_mesh(shape, plastic)
+    plastic = {"type": "pplastic", "diffuse_reflectance": mitsuba_scene.texture(glaze()), "alpha": ALPHA, "int_ior": IOR}
+    mesh = mitsuba_scene.load_mesh(shape, plastic)
     lit = _scene(mesh, truth / "env.hdr")
     relit = _scene(mesh, output / "envmaps" / f"{RELIT}.hdr")
     for index, pose in enumerate(poses):
         name = f"{index:03d}"
-        view = mi.load_dict(scene.sensor(pose, size, size, focal))
+        view = mi.load_dict(mitsuba_scene.sensor(pose, size, size, focal))
         film = _stokes(lit, view, seed + index, spp)
         write_exr(output / "images" / f"{name}.exr", {k: film[k] for k in STOKES}, half=True)
         write_png(output / "masks" / f"{name}.png", film["A"])
@@ -69,12 +69,14 @@ def _scene(mesh: Any, environment: Path) -> Any:
 
 def _stokes(lit: Any, view: Any, seed: int, spp: int) -> dict[str, NDArray[np.float32]]:
     path = {"type": "path", "max_depth": BOUNCES, "hide_emitters": True}
-    return scene.render(lit, view, {"type": "stokes", "integrator": path}, seed, spp)
+    return mitsuba_scene.render(lit, view, {"type": "stokes", "integrator": path}, seed, spp)
 
 
 def _write_geometry(truth: Path, name: str, lit: Any, view: Any, pose: NDArray, seed: int) -> None:
     """Shading normals (world) and camera depths, averaged over the pixel's covered part."""
-    film = scene.render(lit, view, {"type": "aov", "aovs": "n:sh_normal,p:position,d:depth"}, seed, scene.GEOMETRY_SPP)
+    film = mitsuba_scene.render(
+        lit, view, {"type": "aov", "aovs": "n:sh_normal,p:position,d:depth"}, seed, mitsuba_scene.GEOMETRY_SPP
+    )
     normal = np.stack([film[f"n.{c}"] for c in "XYZ"], -1)
     length = np.linalg.norm(normal, axis=-1, keepdims=True)
     normal = np.divide(normal, length, out=np.zeros_like(normal), where=length > 0)

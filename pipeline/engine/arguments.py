@@ -67,7 +67,7 @@ def _flags(stage: Stage) -> list[str]:
 
 
 def _spoken(flag: str) -> str:
-    """An option as a user of make and one of the command know it."""
+    """Name an option as `MAKE_VARIABLE (--flag)`."""
     return f"{MAKE_VARIABLES[flag]} ({flag})" if flag in MAKE_VARIABLES else flag
 
 

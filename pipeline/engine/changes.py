@@ -194,7 +194,7 @@ def expected_warnings(at_once: Sequence[str], dataset: Dataset, found: Mapping[s
 
 
 def keep_hint(last: Settings, now: Settings, found: Mapping[str, State], stages: Mapping[str, Stage], whole: bool) -> str:
-    """How to call to keep what the last run was given, where this call lacks some of it and work follows from that.
+    """Hint: the PARAMS and ENVS of the last run that this call omits, if omitting them makes stages run again; else "".
 
     `whole`: the call means every stage; else the hint names only the stages that lose something.
     """
@@ -204,9 +204,9 @@ def keep_hint(last: Settings, now: Settings, found: Mapping[str, State], stages:
     dark = any(stages[name].environments for name in busy) and any(p.absolute() not in kept for p in last.environments)
     if not lost and not dark:
         return ""
-    told = Settings(
+    omitted = Settings(
         {n: v for n, v in last.parameters.items() if whole or n in lost}, last.environments if whole or dark else ()
     )
-    params = f' PARAMS="{told.params_text()}"' if told.parameters else ""
-    envs = f' ENVS="{told.envs_text()}"' if told.environments else ""
+    params = f' PARAMS="{omitted.params_text()}"' if omitted.parameters else ""
+    envs = f' ENVS="{omitted.envs_text()}"' if omitted.environments else ""
     return f"the last run was given{params}{envs}: give that again to keep its results"

@@ -263,7 +263,7 @@ def _in_a_process_of_its_own(call: Call, name: str) -> int:
 
 
 def _describe(call: Call, steps: list[Step], kept: Settings) -> None:
-    """Write `dataset.json`: the plan, with the passes that finished stages decided on by what they saw, and what was given."""
+    """Write `dataset.json`: plan, decisions that finished stages took at run time, and the user's settings."""
     plan, dataset = plan_as_json(steps), call.dataset
     for step in steps:
         version = dataset.find(step.stage.name, step.key) if step.decision.run else None
@@ -288,7 +288,7 @@ def _place(call: Call, stage: str) -> Path:
 
 
 def _check_cuda() -> None:
-    """Raise UserError where training on the GPU cannot be: told before anything runs."""
+    """Raise UserError where training on the GPU cannot be, before anything runs."""
     import importlib.util
 
     import torch

@@ -94,7 +94,7 @@ def with_environments(capture: Capture, extra: tuple[Path, ...]) -> Capture:
         if path.suffix.lower() not in (".hdr", ".exr"):
             raise UserError(path, "is not an .hdr or .exr file", "convert the map to one of these")
         width, height = image_size(path)
-        if width != 2 * height:  # told now, not after the training
+        if width != 2 * height:  # refused now, not after the training
             fault = f"is {width}x{height}: a latitude-longitude map is twice as wide as high"
             raise UserError(path, fault, "convert it to that projection")
         name = environment_name(path)

@@ -1,4 +1,7 @@
-"""Which pixels of a frame hold the object's light: a yes-or-no mask cuts off the rim that is less than half covered."""
+"""Pixels to compare against ground truth: the whole frame on a black background, else the mask.
+
+A binary mask cuts off the rim that the object covers by less than half, whose light is the object's all the same.
+"""
 
 from __future__ import annotations
 

@@ -35,7 +35,7 @@ def place_halves(
     place: NDArray[np.int64],
     out: NDArray[np.float32],
 ) -> None:
-    """Half floats words [rows, C W] to out [rows, W, C'], channel c at place[c]; `wide` [C W] is room for a row."""
+    """Half floats words [rows, C W] to out [rows, W, C'], channel c at place[c]; `wide` [C W] is the workspace of a row."""
     for y in range(out.shape[0]):
         widen_halves(words[y], wide, wide_bits)
         _interleave(wide, place, out[y])

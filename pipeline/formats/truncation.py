@@ -1,4 +1,4 @@
-"""Truncated files told by their own structure, before a C library prints its complaint over ours."""
+"""Truncated files, recognised by their own structure, before a C library prints its complaint over ours."""
 
 from __future__ import annotations
 

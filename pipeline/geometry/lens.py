@@ -1,4 +1,4 @@
-"""Lens distortion ends in the poses stage: what is resampled to a pinhole camera there, and where later stages look.
+"""Undistortion to pinhole cameras, done once, in the poses stage, and the lookup by which later stages find the frames.
 
 Later stages know pinhole cameras only. Where a camera bends straight lines, poses writes the frames again as a pinhole
 camera would have taken them, and cameras.json holds that camera (`pipeline.geometry.straight_camera` says which).

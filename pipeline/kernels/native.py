@@ -21,7 +21,7 @@ from pipeline.kernels import freshness, storage
 Kernel = Callable[..., None]
 KINDS = {"int64": ctypes.c_int64, "pointer": ctypes.c_void_p}
 UNREACHED = ("NRT_MemInfo_call_dtor",)
-"""Of numba's runtime: what frees an array, which kernels without arrays of their own name and never reach."""
+"""Symbols of numba's runtime that kernels without allocations reference but never call: the destructor of an array."""
 _loaded: dict[str, tuple[Kernel, Any]] = {}
 _loading = threading.Lock()
 

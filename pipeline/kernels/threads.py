@@ -40,9 +40,9 @@ def run_on_all_cores(kernel: Callable[..., None], *arguments: Any) -> None:
 
 
 def row_buffers(size: int) -> np.ndarray:
-    """Uninitialised float32 room of `size` or more for each core, on cache lines. [cores, size']"""
+    """Uninitialised float32 workspace of `size` or more for each core, on cache lines. [cores, size']"""
     line = 64 // 4
     size = -(-size // line) * line
-    room = np.empty(thread_count() * size + line, np.float32)
-    skip = -(room.ctypes.data // 4) % line
-    return room[skip : skip + thread_count() * size].reshape(thread_count(), size)
+    whole = np.empty(thread_count() * size + line, np.float32)
+    skip = -(whole.ctypes.data // 4) % line
+    return whole[skip : skip + thread_count() * size].reshape(thread_count(), size)

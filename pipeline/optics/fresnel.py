@@ -98,7 +98,7 @@ def transmittance(c: Array, eta: Array) -> Array:
 
 
 def specular_polarisation(c: Array, sin2: Array, eta: Array) -> Array:
-    """beta_s / sin^2(theta) >= 0, beta_s = (R_s - R_p)/(R_s + R_p) (PhyGaP Eqs. 22-23 in physics.md 2's
+    """beta_s / sin^2(theta) >= 0, beta_s = (R_s - R_p)/(R_s + R_p) (PhyGaP Eqs. 22-23 in docs/physics.md's
     stable form).
 
     beta_s is 1 at Brewster's angle tan(theta) = eta. With the normal's projection (nx, ny) on the pixel's

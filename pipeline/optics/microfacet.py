@@ -13,7 +13,7 @@ from array_api_compat import array_namespace
 
 Array = Any
 
-# PhyGaP's and the dataset contract's smallest perceptual roughness: alpha = 0.0064, a lobe about 1 degree
+# PhyGaP's smallest perceptual roughness: alpha = 0.0064, a lobe about 1 degree
 # wide.
 MIN_ROUGHNESS = 0.08
 
@@ -71,5 +71,5 @@ def masking(c: Array, alpha: Array, lobe: str = "ggx") -> Array:
 
 
 def separable_shadowing(nv: Array, nl: Array, alpha: Array, lobe: str = "ggx") -> Array:
-    """G = G1(v) G1(l): what Mitsuba's microfacet plugins use."""
+    """G = G1(v) G1(l), as in Mitsuba's microfacet plugins: elementwise, in [0, 1]; nv, nl > 0; lobe of `LAMBDAS`."""
     return masking(nv, alpha, lobe) * masking(nl, alpha, lobe)

@@ -77,7 +77,7 @@ def _facts(capture: Capture) -> list[tuple[str, str]]:
         out.append(("masks", f"{masks} of {len(stage.cameras)} cameras"))
     else:
         sizes = {f"{v.size[0]} × {v.size[1]} px" for v in capture.views if v.size}
-        out += [("views", str(len(capture.views))), ("image size", ", ".join(sorted(sizes)) or "told by the files")]
+        out += [("views", str(len(capture.views))), ("image size", ", ".join(sorted(sizes)) or "as the files say")]
         out.append(("physical cameras", ", ".join(capture.camera_names)))
         given = "a COLMAP model" if capture.colmap else "not given: COLMAP will find them"
         out.append(("poses", f"given for {len(capture.cameras)} views" if capture.cameras else given))
@@ -93,7 +93,7 @@ def _polarisers(capture: Capture) -> list[dict[str, str]]:
     rows = []
     for name, prior in sorted(capture.polarisers.items()):
         angle = "unknown" if prior.angle_deg is None else f"{prior.angle_deg:g}°"
-        use = "as told" if prior.trusted else "a starting value, optimised" if prior.angle_deg is not None else "optimised"
+        use = "as given" if prior.trusted else "a starting value, optimised" if prior.angle_deg is not None else "optimised"
         rows.append({"name": name, "angle": angle, "use": use})
     return rows
 

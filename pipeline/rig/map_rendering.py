@@ -54,9 +54,7 @@ def _render(lobe, view, normal_d, normal_s, tangent, sigma, albedo_s, directions
         t -= dot * m
         t /= math.sqrt(t[0] * t[0] + t[1] * t[1] + t[2] * t[2])
         b = np.empty(3)
-        b[0] = m[1] * t[2] - m[2] * t[1]
-        b[1] = m[2] * t[0] - m[0] * t[2]
-        b[2] = m[0] * t[1] - m[1] * t[0]
+        b[0], b[1], b[2] = m[1] * t[2] - m[2] * t[1], m[2] * t[0] - m[0] * t[2], m[0] * t[1] - m[1] * t[0]
         frame[2] = m
         shape[0], shape[1] = _inverse_width(sigma[p, 0], spread), _inverse_width(sigma[p, 1], spread)
         one, lobes = np.empty(used), np.zeros(used)

@@ -1,7 +1,7 @@
 """PhyGaP's GridMap (4.2, 9.4): local environments at anchors around the object, blended per point.
 
-`visibility.Transfer` is the better of the two (benchmarks/bench_occlusion.py measures both); this is the paper's,
-with its weights by name. Diffuse light is blended in the small prefiltered level first and evaluated once.
+`transfer.Transfer` is the better of the two; this is the paper's, with its weights by name (docs/physics.md,
+Shading). Diffuse light is blended in the small prefiltered level first and evaluated once.
 """
 
 from __future__ import annotations

@@ -24,6 +24,7 @@ from pipeline.optics.model_names import MIRRORS
 from pipeline.optics.stokes import surface_pattern
 
 from . import limits
+from .light_tree_lobe import polarisation
 from .prefilter import LightField
 from .shade_kernels import MATH, add, chunks, direction_gradient, fetch, level_below, texels
 
@@ -210,17 +211,6 @@ def _facets(n, v, r, e, facets, spread, ggx, out):
     return False
 
 
-@kernel(fastmath=MATH, error_model="numpy")
-def _polarisation(c, square, e):
-    """beta_s/sin^2 with its slopes in c, square = sin^2, and eta."""
-    q = np.sqrt((e - _ONE) * (e + _ONE) + c * c)
-    x = c * q
-    d = _ONE / (x * x + square * square)
-    value = _TWO * x * d
-    by_x = _TWO * d - value * _TWO * x * d
-    return value, by_x * (q + c * c / q), -value * _TWO * square * d, by_x * c * e / q
-
-
 @kernel(parallel=True, fastmath=MATH, error_model="numpy")
 def _forward(
     normal, view, roughness, ior, frame_x, frame_y, packed, nodes, sizes, starts, index, bases,
@@ -251,7 +241,7 @@ def _forward(
                 upper = texels(l0, l1, l2, sizes[level + 1], index, bases[level + 1])
                 hx = h0 * frame_x[p, 0] + h1 * frame_x[p, 1] + h2 * frame_x[p, 2]
                 hy = h0 * frame_y[p, 0] + h1 * frame_y[p, 1] + h2 * frame_y[p, 2]
-                beta = _polarisation(vh, hx * hx + hy * hy, e)[0] if seen else _ZERO
+                beta = polarisation(vh, hx * hx + hy * hy, e)[0] if seen else _ZERO
                 cos2, sin2 = (hx - hy) * (hx + hy) * beta, _TWO * hx * hy * beta
                 for k in range(3):
                     below = fetch(packed, starts[level], lower, k)[0]
@@ -293,7 +283,7 @@ def _backward(
                 upper = texels(l0, l1, l2, sizes[level + 1], index, bases[level + 1])
                 hx = h0 * frame_x[p, 0] + h1 * frame_x[p, 1] + h2 * frame_x[p, 2]
                 hy = h0 * frame_y[p, 0] + h1 * frame_y[p, 1] + h2 * frame_y[p, 2]
-                beta, beta_c, beta_s, beta_e = _polarisation(vh, hx * hx + hy * hy, e)
+                beta, beta_c, beta_s, beta_e = polarisation(vh, hx * hx + hy * hy, e)
                 if not seen:
                     beta, beta_c, beta_s, beta_e = _ZERO, _ZERO, _ZERO, _ZERO
                 cos2, sin2 = (hx - hy) * (hx + hy), _TWO * hx * hy

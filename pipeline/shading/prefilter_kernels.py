@@ -8,7 +8,7 @@ from numba import prange
 from pipeline.kernels.compiling import kernel
 
 GGX, BECKMANN, COSINE, TRANSMITTED = 0, 1, 2, 3
-# IoR at which the transmitted irradiance level is computed (physics.md 3).
+# IoR at which the transmitted irradiance level is computed (docs/physics.md).
 REFERENCE_IOR = 1.5
 # A pyramid texel is taken whole when its half diagonal is below this share of the lobe's local scale.
 ACCEPT = 0.22

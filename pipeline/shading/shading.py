@@ -10,8 +10,7 @@ from pipeline.optics import fresnel as optics
 from pipeline.optics.model_names import FRESNELS, MIRRORS, TREES
 from pipeline.optics.stokes import surface_pattern
 
-from . import limits, splitsum
-from . import prefilter_kernels as kernels
+from . import limits, prefilter_kernels, splitsum
 from .prefilter import LightField
 from .types import Occlusion, Shaded, clamp_keeping_gradient
 
@@ -32,11 +31,27 @@ def shade(
 ) -> Shaded:
     """Stokes vectors of P points under a prefiltered environment; differentiable in all but the frame.
 
-    fresnel: "exact" transmits light into and out of the body (Baek et al.'s polarised plastic) and integrates
-    Fresnel's equations over the lobe; "schlick" is PhyGaP Eq. 20, (1 - F_schlick) albedo/pi E, with F0 tau0 + tau1.
-    mirror: "split" sum; "tree", "tree-coarse", "tree-fine", a quadrature over the environment's texels (see `light_tree`);
-    or "lobe-4" to "lobe-48" facets (see `lobe`). All but the split sum with exact Fresnel only.
     Values outside `limits` are clamped, their gradient kept. float32 on the CPU runs a fused kernel ("exact" only).
+
+    Args:
+        normal: unit, world. [P, 3]
+        view: unit, world, towards the camera. [P, 3]
+        albedo: diffuse reflectance, linear RGB, 0..1. [P, 3]
+        roughness: perceptual, alpha = roughness^2. [P]
+        ior: index of refraction, from 1. [P]
+        frame_x, frame_y: the pixel's Stokes axes, unit, world (`Camera.stokes_frame`). [P, 3]
+        light: the environment (`Prefilter.apply`).
+        occlusion: what the object takes from and adds to that light; None: nothing.
+        fresnel: "exact" transmits light into and out of the body (Baek et al. 2018, polarised plastic) and integrates
+            Fresnel's equations over the lobe; "schlick" is PhyGaP Eq. 20, (1 - F_schlick) albedo/pi E, with F0 tau0 + tau1.
+        mirror: "split" sum; "tree", "tree-coarse", "tree-fine", a quadrature over the environment's texels (`light_tree`); or
+            "lobe-4" to "lobe-48" facets (`lobe`). All but the split sum with exact Fresnel only.
+
+    Returns:
+        Radiance towards the camera in the light's units, as Stokes vectors and as diffuse and specular parts.
+
+    Raises:
+        ValueError: an unknown name, or facets with Schlick.
     """
     if fresnel not in FRESNELS:
         raise ValueError(f"fresnel {fresnel!r}: must be one of {', '.join(FRESNELS)}")
@@ -46,10 +61,16 @@ def shade(
     fast = fresnel == "exact" and all(x.device.type == "cpu" and x.dtype == torch.float32 for x in (*arguments, light.packed))
     if not fast:
         return plain(*arguments, light, occlusion=occlusion, fresnel=fresnel, mirror=mirror)
+    return _fused(arguments, light, occlusion, mirror)
+
+
+def _fused(arguments: tuple[torch.Tensor, ...], light: LightField, occlusion: Occlusion | None, mirror: str) -> Shaded:
+    """`shade` of (normal, view, albedo, roughness, ior, frame_x, frame_y) by the fused kernel."""
     blocked = (None,) * 4 if occlusion is None else (
         occlusion.shadow, occlusion.bounced, occlusion.unblocked, occlusion.seen
     )  # fmt: skip
     given: tuple[torch.Tensor | None, ...] = (None, None)
+    normal, view, _, roughness, ior, frame_x, frame_y = arguments
     if mirror in TREES:
         from . import light_tree
 
@@ -60,7 +81,7 @@ def shade(
         from .lobe import mirrored
 
         given = mirrored(normal, view, roughness, ior, frame_x, frame_y, light, mirror)
-    return Shaded(*_Fused.apply(light, *arguments, light.packed, *blocked, *given))
+    return Shaded(*_FusedShading.apply(light, *arguments, light.packed, *blocked, *given))
 
 
 def plain(
@@ -91,9 +112,9 @@ def plain(
         mirrored = light.mirrored(2 * facing[:, None] * normal - view, roughness)
         turned = across[:, None, None] * around * mirrored[:, None]
     elif mirror in TREES:
-        from . import light_tree
+        from . import light_tree_plain
 
-        mirrored, turned = light_tree.plain(
+        mirrored, turned = light_tree_plain.plain(
             normal, view, roughness, eta, frame_x, frame_y, light.tree, light.lobe, TREES[mirror]
         )  # fmt: skip
     else:
@@ -113,10 +134,13 @@ def plain(
 
 
 def body_transmission(cosine: torch.Tensor, eta: torch.Tensor, fresnel: str) -> torch.Tensor:
-    """L_d / (albedo x received light) [P]: out of the body, and in relative to the level's IoR (physics.md 3)."""
+    """L_d / (albedo x received light) [P]: out of the body, and in relative to the level's IoR (docs/physics.md, Shading).
+
+    cosine [P] of the view with the normal, in (0, 1]; eta [P]; fresnel: "exact" or "schlick".
+    """
     if fresnel == "schlick":
         return (1 - optics.schlick(cosine, eta)) / torch.pi
-    reference = torch.tensor(kernels.REFERENCE_IOR, dtype=eta.dtype, device=eta.device)
+    reference = torch.tensor(prefilter_kernels.REFERENCE_IOR, dtype=eta.dtype, device=eta.device)
     entering = optics.hemispherical_transmittance(eta) / optics.hemispherical_transmittance(reference)
     return optics.transmittance(cosine, eta) * entering / torch.pi
 
@@ -131,7 +155,18 @@ def mirror_reflection(
     lobe: str,
     fresnel: str,
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """(albedo of the rough mirror [P], its polarisation over sin^2 [P]): see `splitsum`."""
+    """Albedo of the rough mirror, and its polarisation over sin^2, by the tables of `splitsum`.
+
+    Args:
+        normal, frame_x, frame_y: as in `shade`. [P, 3]
+        cosine: of the view with the normal, in (0, 1]. [P]
+        roughness, eta: inside `limits`. [P]
+        lobe: "ggx" or "beckmann".
+        fresnel: "exact" or "schlick".
+
+    Returns:
+        (albedo [P] in 0..1, beta / sin^2 [P] >= 0).
+    """
     where = (roughness * (splitsum.ROUGHNESS_NODES - 1), cosine.sqrt() * (splitsum.COSINE_NODES - 1))
     table = splitsum.exact_table if fresnel == "exact" else splitsum.schlick_table
     values = torch.as_tensor(table(lobe), dtype=cosine.dtype, device=cosine.device)
@@ -146,10 +181,10 @@ def mirror_reflection(
     return optics.reflectance(cosine, eta) * rho, across
 
 
-class _Fused(torch.autograd.Function):
+class _FusedShading(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, light: LightField, *tensors: torch.Tensor | None) -> tuple[torch.Tensor, ...]:
-        from . import shade_kernels as fused
+        from . import shade_kernels
 
         inputs = [torch.empty(0) if x is None else x.detach().contiguous() for x in tensors]
         # Absent occlusion and lobe: empty arrays of the right rank.
@@ -160,18 +195,18 @@ class _Fused(torch.autograd.Function):
         ctx.arrays, ctx.light, ctx.given = [x.numpy() for x in inputs], light, [x is not None for x in tensors]
         points = len(ctx.arrays[0])
         out = (torch.empty(points, 3, 3), torch.empty(points, 3), torch.empty(points, 3))
-        kernel: Any = fused.forward
+        kernel: Any = shade_kernels.forward
         kernel(*ctx.arrays[:8], *light.tables(), *ctx.arrays[8:], *(x.numpy() for x in out))
         return out
 
     @staticmethod
     def backward(ctx: Any, *gradients: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
-        from . import shade_kernels as fused
+        from . import shade_kernels
 
         a = ctx.arrays
-        tables = torch.zeros(fused.chunks(len(a[0])), *a[7].shape)
+        tables = torch.zeros(shade_kernels.chunks(len(a[0])), *a[7].shape)
         new = [torch.empty(x.shape) for x in (*a[:5], *a[8:])]
-        kernel: Any = fused.backward
+        kernel: Any = shade_kernels.backward
         kernel(
             *a[:8], *ctx.light.tables(), *a[8:], *(g.contiguous().numpy() for g in gradients),
             *(x.numpy() for x in new[:5]), tables.numpy(), *(x.numpy() for x in new[5:]),

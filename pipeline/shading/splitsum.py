@@ -33,7 +33,10 @@ MIN_IOR, MIN_COSINE, MAX_COSINE = 1 + 1e-4, 1e-4, 0.99
 
 
 def half_vectors(alpha: float, lobe: str, nodes: int, azimuths: int) -> tuple[Float, Float, Float]:
-    """(tan(theta_h) [n], azimuth [m], weight [n]) with sum(weight) = 1 in the measure D (n.h) d omega."""
+    """(tan(theta_h) [n], azimuth [m], weight [n]) with sum(weight) = 1 in the measure D (n.h) d omega.
+
+    alpha: roughness squared; lobe: "ggx" or "beckmann"; nodes n: Gauss nodes in polar angle; azimuths m: over half a circle.
+    """
     x, w = np.polynomial.legendre.leggauss(nodes)
     u = (x + 1) / 2
     tan2 = alpha**2 * (u / (1 - u) if lobe == "ggx" else -np.log1p(-u))
@@ -46,7 +49,7 @@ def reflected(
     """(v.h, weight, cos 2 chi) [C, n, m] of the lobe seen from each cosine.
 
     sum(weight F(v.h)) is the directional albedo; chi is the angle between the planes of incidence on the facet and
-    on the surface, seen along the view.
+    on the surface, seen along the view. cosines [C] of the view with the normal; the rest as in `half_vectors`.
     """
     tan, phi, w = half_vectors(alpha, lobe, nodes, azimuths)
     nh = 1 / np.sqrt(1 + tan * tan)[:, None]

@@ -152,7 +152,7 @@ class SymmetricMap:
 
     def __call__(self, x: torch.Tensor) -> torch.Tensor:
         if x.device.type == "cpu" and x.dtype == torch.float32:
-            return _Fused.apply(x, self)
+            return _FusedExpansion.apply(x, self)
         return self.plain(x)
 
     def plain(self, x: torch.Tensor) -> torch.Tensor:
@@ -198,7 +198,7 @@ def torch_csr(matrix: csr_matrix) -> torch.Tensor:
         return torch.sparse_csr_tensor(arrays[0], arrays[1], arrays[2], size=matrix.shape)
 
 
-class _Fused(torch.autograd.Function):
+class _FusedExpansion(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, x: torch.Tensor, operator: SymmetricMap) -> torch.Tensor:
         ctx.operator = operator

@@ -21,7 +21,7 @@ class Shaded:
 
 @dataclass(frozen=True)
 class Occlusion:
-    """What the object itself takes from and adds to the light at P points; see `visibility` and `gridmap`.
+    """What the object itself takes from and adds to the light at P points; see `transfer` and `gridmap`.
 
     irradiance' = shadow * irradiance + bounced, mirrored' = unblocked * mirrored + seen.
     """

@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from . import fusion_kernel as kernels
+from . import fusion_kernel
 from .gbuffer import DepthView
 
 BLOCK = 8  # voxels along a block's edge
 FREE_WEIGHT = 0.5  # of a ray that misses the object, against a surface seen squarely
-SAMPLED = 20_000  # points of a view that its extent is told from
+SAMPLED = 20_000  # points of a view from which its extent is taken
 LEAST_WEIGHT = 0.02  # a voxel seen only at grazing angles by one view says too little
 
 
@@ -90,7 +90,7 @@ class Volume:
         pose = (np.ascontiguousarray(c.world_to_camera), np.ascontiguousarray(c.centre))
         images = (np.ascontiguousarray(view.depth), np.ascontiguousarray(view.normal))
         state = (self._points, self._distance, self._weight)
-        kernels.integrate(*state, *images, *pose, *pinhole, self.truncation, grazing, FREE_WEIGHT)
+        fusion_kernel.integrate(*state, *images, *pose, *pinhole, self.truncation, grazing, FREE_WEIGHT)
 
     def extract(self, outward: float = 0.0) -> Any:
         """The surface at a distance `outward` from the zero crossing, as an Open3D tensor mesh (possibly empty)."""

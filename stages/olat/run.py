@@ -26,11 +26,11 @@ from stages.olat.maps.footprint import with_neighbours
 from stages.olat.maps.map_files import MapWriter
 from stages.olat.maps.preview import write_preview
 from stages.olat.parameters import OlatParameters, every
-from stages.olat.pixel_fit.fit_options import SPECULAR_FITS, Settings
+from stages.olat.pixel_fit.fit_options import SPECULAR_FITS, FitOptions
 from stages.olat.pixel_fit.many_pixels import fit, load, ready
 from stages.olat.pixel_fit.result_layout import FLAG, GOOD, RESIDUAL, columns
 from stages.olat.reading.frame_reader import Samples, ahead
-from stages.olat.reading.misregistration import WARN_PX, Drift
+from stages.olat.reading.misregistration import WARN_PX, Misregistration
 from stages.olat.reading.rig_cameras import PILOT, CameraJob, decoded
 from stages.olat.reading.scanline_bands import Band, parts_of
 from stages.olat.reading.stream import Lanes, Piece
@@ -111,10 +111,10 @@ def light_rig(index: dict[str, Any], step: int = 1) -> LightTable:
     return LightTable(directions, positions, intensity, area)
 
 
-def settings_of(parameters: OlatParameters, config: Any, saturation: float) -> Settings:
+def settings_of(parameters: OlatParameters, config: Any, saturation: float) -> FitOptions:
     """Kernel settings from the stage's parameters and the capture's [olat] facts."""
     lobe = LOBES["ward" if parameters.lobe == "auto" else parameters.lobe]
-    return Settings(
+    return FitOptions(
         lobe=lobe, rounds=8, robust=2, steps=15, tolerance=TOLERANCE[parameters.precision], saturation=saturation,
         specular_factor=config.specular_factor, irradiance=config.irradiance, gain=GAIN, mixed=MIXED,
         prior=PRIOR, plain=parameters.diffuse_fit == "active-set",
@@ -124,7 +124,7 @@ def settings_of(parameters: OlatParameters, config: Any, saturation: float) -> S
     )  # fmt: skip
 
 
-def choose_lobe(stage: StageRun, pilot: list[Piece], rig: LightTable, settings: Settings) -> Settings:
+def choose_lobe(stage: StageRun, pilot: list[Piece], rig: LightTable, settings: FitOptions) -> FitOptions:
     """Where the lobe is `auto`: the one of `CANDIDATES` that leaves the smallest residual on most of the pilot's pixels."""
     parameters: OlatParameters = stage.parameters
     if parameters.lobe != "auto" or settings.gradient:
@@ -160,7 +160,7 @@ class Part:
 
 
 def fitted(
-    stage: StageRun, pieces: Iterator[Piece], rig: LightTable, settings: Settings, threads: int | None
+    stage: StageRun, pieces: Iterator[Piece], rig: LightTable, settings: FitOptions, threads: int | None
 ) -> Iterator[Part]:
     """Every piece, fitted in parts: one is finished and written while the next is fitted."""
     name, view = "", np.empty((0, 3))
@@ -176,23 +176,23 @@ def fitted(
             yield Part(piece, part, rows)
 
 
-def write_camera(stage: StageRun, job: CameraJob, parts: Iterator[Part], settings: Settings) -> None:
+def write_camera(stage: StageRun, job: CameraJob, parts: Iterator[Part], settings: FitOptions) -> None:
     """Finish and write the maps of one camera from its parts."""
     parameters: OlatParameters = stage.parameters
     surface = parameters.widths == "surface"
     verdict, directed = Verdict(), 0
-    drift: Drift | None = None
+    misregistration: Misregistration | None = None
     with (
         stage.progress.bar(f"fitting {job.name}", int(job.mask.sum()), "px") as bar,
         MapWriter(stage.output / job.name, job.camera.width, job.camera.height) as writer,
     ):
 
         def found() -> Iterator[tuple[Band, NDArray[np.float64]]]:
-            nonlocal drift
+            nonlocal misregistration
             for part in parts:
-                if drift is None:
+                if misregistration is None:
                     say_shift(stage, job, part.piece.shift)
-                    drift = part.piece.drift
+                    misregistration = part.piece.misregistration
                 bar.advance(len(part.rows))
                 yield part.band, part.rows
 
@@ -204,7 +204,7 @@ def write_camera(stage: StageRun, job: CameraJob, parts: Iterator[Part], setting
             writer.write(band, rows)
     with ThreadPoolExecutor(1) as pool:
         picture = pool.submit(write_preview, stage.output / job.name / "preview.png", writer.preview)
-        right, down = drift.shift() if drift is not None else (0.0, 0.0)
+        right, down = misregistration.shift() if misregistration is not None else (0.0, 0.0)
         picture.result()
     stage.note(f"{job.name}.drift_px", [round(right, 2), round(down, 2)])
     if max(abs(right), abs(down)) > WARN_PX:
@@ -228,7 +228,7 @@ def say_shift(stage: StageRun, job: CameraJob, shift: tuple[int, int]) -> None:
 
 
 def fit_part(
-    stage: StageRun, job: CameraJob, samples: Samples, view: NDArray[np.float64], rig: LightTable, settings: Settings,
+    stage: StageRun, job: CameraJob, samples: Samples, view: NDArray[np.float64], rig: LightTable, settings: FitOptions,
     threads: int | None, part: tuple[int, int],
 ) -> NDArray[np.float64]:  # fmt: skip
     """Rows [last - first, WIDTH] of a band's pixels [first, last); view [P, 3]: unit, to the camera, of all of them."""

@@ -14,7 +14,7 @@ from pipeline.formats.images import RGB, read_mask, srgb_encode, write_exr, writ
 from pipeline.geometry.cameras import camera_from_frame
 from pipeline.rig.relighting import relight_maps, relight_olat, relighting_error
 
-from .maps import read_map
+from .environment_map import read_map
 
 
 def relight_stage(run: StageRun) -> None:

@@ -99,7 +99,7 @@ def write_turntable(
     from PIL import Image
 
     if "mesh" not in run.inputs:
-        run.warn("there is no mesh, so no turntable")
+        run.warn("there is no mesh, so no turntable; check that the mesh stage ran")
         return
     mesh = TexturedMesh(run.inputs["mesh"] / MESH)
     centre = (mesh.low + mesh.high) / 2

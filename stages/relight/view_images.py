@@ -19,7 +19,7 @@ from pipeline.formats.images import read_mask, srgb_encode, write_png, write_sto
 from pipeline.geometry.cameras import Camera, load_cameras
 
 from .deferred import Lamp, ShadingModel, Surface
-from .maps import read_map
+from .environment_map import read_map
 
 if TYPE_CHECKING:
     from .mesh_shadows import SelfOcclusion

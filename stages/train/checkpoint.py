@@ -13,6 +13,7 @@ import torch
 
 NAME = "checkpoint.pt"
 DIGEST_BYTES = 16  # before the state: a damaged state may still load
+SCHEMA = 2  # of the saved state; one of another schema is as none
 
 
 def save(folder: Path, state: dict[str, Any]) -> None:
@@ -23,7 +24,7 @@ def save(folder: Path, state: dict[str, Any]) -> None:
 def pack(state: dict[str, Any]) -> bytes:
     """The state as it is written: a BLAKE2b-128, then what torch writes."""
     stream = io.BytesIO()
-    torch.save(state, stream)
+    torch.save({"schema": SCHEMA} | state, stream)
     content = stream.getvalue()
     return _digest(content) + content
 
@@ -50,12 +51,13 @@ def load(folder: Path, say: Callable[[str], None] | None = None) -> dict[str, An
     if not path.is_file():
         return None
     content = path.read_bytes()
-    if content[:DIGEST_BYTES] == _digest(content[DIGEST_BYTES:]):
-        return torch.load(io.BytesIO(content[DIGEST_BYTES:]), weights_only=True)
-    if say is not None:
-        say(f"warning: {path}: is damaged, so that training starts afresh; check the disk")
-    path.unlink()
-    return None
+    if content[:DIGEST_BYTES] != _digest(content[DIGEST_BYTES:]):
+        if say is not None:
+            say(f"warning: {path}: is damaged, so that training starts afresh; check the disk")
+        path.unlink()
+        return None
+    state = torch.load(io.BytesIO(content[DIGEST_BYTES:]), weights_only=True)
+    return state if state.pop("schema", None) == SCHEMA else None
 
 
 def clear(folder: Path) -> None:

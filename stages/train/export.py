@@ -17,9 +17,9 @@ from pipeline.geometry.world_offset import ply_comment
 
 from .render_view import Rendered
 from .splats.gaussians import SplatModel, to_numpy
-from .views.data import View
 from .views.polarisers import PolariserBank
 from .views.training_frame import SceneFrame
+from .views.view import View
 
 SH_C0 = 0.28209479177387814  # zeroth spherical harmonic: viewers show 0.5 + SH_C0 * f_dc
 
@@ -81,9 +81,10 @@ def with_normals(
 
 
 def write_gaussians(path: Path, model: SplatModel, frame: SceneFrame, offset: np.ndarray | None = None) -> None:
-    """gaussians.ply as 3DGS and 2DGS viewers read it: raw opacity (logit), log scales, wxyz quaternions; in the world.
+    """Write gaussians.ply as 3DGS and 2DGS viewers read it: raw opacity (logit), log scales, wxyz quaternions.
 
-    `offset` [3] was taken from all world positions (`pipeline.geometry.world`): a comment tells it.
+    path: the file; model: in the training frame; frame: the way back to the capture's world; offset [3]: was taken from all
+    world positions (`pipeline.geometry.world_offset`), and a comment tells it.
 
     A third, very small scale makes viewers that know only 3D Gaussians show discs.
     """

@@ -31,5 +31,7 @@ class Environment:
     def roughness_of(self) -> torch.Tensor:
         """Smoothness prior: mean robust difference of log radiance between neighbouring texels (halos may be steep)."""
         flat = self.raw.reshape(-1, 3)
-        difference = flat[self.edges[1]] - flat[self.edges[0]]
+        # Not flat[edges]: its gradient adds with atomics where OpenMP has two threads (numba's pool gives them back to torch),
+        # in an order that differs from run to run.
+        difference = flat.index_select(0, self.edges[1]) - flat.index_select(0, self.edges[0])
         return (torch.sqrt(difference * difference + 0.05**2) - 0.05).mean()

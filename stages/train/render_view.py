@@ -10,7 +10,7 @@ from pipeline.shading import LightField, Occlusion, Shaded, shade
 
 from .rasterize import Raster, rasterize
 from .splats.gaussians import Splats, unit
-from .views.data import View
+from .views.view import View
 
 BACK_FACING = 0.1  # cosine below which a splat has turned its outer side away: half of it reaches past the horizon
 SCREEN_FILTER = 2  # half of gsplat's low-pass filter, which widens every outline by a pixel: 0.5 to 1 degree of normal error
@@ -49,7 +49,18 @@ class Rendered:
 def rasterise_view(
     splats: Splats, view: View, pixels: torch.Tensor, backend: str, extra: torch.Tensor | None = None
 ) -> GBuffer:
-    """G-buffer of a view at flat pixel indices [P]; `extra` [N, C] per-splat values are blended alongside."""
+    """G-buffer of a view.
+
+    Args:
+        splats: the Gaussians, N of them.
+        view: camera and size.
+        pixels: flat indices. [P]
+        backend: rasteriser (`rasterize.BACKENDS`).
+        extra: per-splat values that are blended alongside. [N, C]
+
+    Returns:
+        Attributes at the pixels, divided by opacity; where opacity is below LEAST_ALPHA they fade to 0.
+    """
     height, width = view.size
     rows = torch.nonzero(_faces(splats, view))[:, 0]
     columns = [splats.normals, splats.albedo, splats.roughness[:, None], splats.ior[:, None]]
@@ -132,7 +143,16 @@ def render_view(
     mirror: str = "split",
     occlusion: Occlusion | None = None,
 ) -> Rendered:
-    """Stokes image of a view at its counting pixels."""
+    """Stokes image of a view at its P counting pixels, differentiable in splats and light.
+
+    Args:
+        splats: the Gaussians.
+        view: camera, size, counting pixels and their Stokes frames.
+        light: prefiltered environment.
+        backend: rasteriser (`rasterize.BACKENDS`).
+        fresnel, mirror: shading model, as in `pipeline.shading.shade` (Schlick always has the split sum).
+        occlusion: what the object takes from and adds to the light at the pixels; None: nothing.
+    """
     g = rasterise_view(splats, view, view.pixels, backend)
     # An empty pixel has a zero normal: any finite one will do, its opacity is 0.
     normal = torch.where(g.alpha[:, None] > 0, g.normal, view.view_direction)

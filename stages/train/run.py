@@ -7,9 +7,9 @@ import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 # Threads that spin while they wait take the cores from each other as soon as anything else runs (20 times slower,
 # measured with two cores and two other processes); torch's OpenMP reads this once, when it is loaded.
@@ -20,26 +20,22 @@ import torch
 
 from pipeline.engine.progress import Bar
 from pipeline.formats import dataset_files as files
-from pipeline.formats.gbuffer import write_gbuffer
-from pipeline.formats.images import write_exr
-from pipeline.geometry.cameras import world_offset
-from pipeline.geometry.lens import frame_table, frames_folder
-from pipeline.report.explained import FEWEST, doubts, explained
+from pipeline.geometry.lens import frames_folder
 
-from . import checkpoint, export
+from . import checkpoint
+from .angle_search import search_angles
 from .initialise.points import read_points
 from .parameters import TrainParameters
-from .render_view import mean_normals
+from .results import finish_polarisers, openings_share, say_what_is_unexplained, write_results
 from .setup import NO_POINTS, Start, prepare_training
-from .trainer import CYCLE, Trainer
-from .views.angle_search import search_angles
-from .views.data import SourceView, View, load_sources, prepare
+from .trainer import Trainer
+from .upkeep import CYCLE
+from .views.source_views import SourceView, load_sources
 
 if TYPE_CHECKING:
     from pipeline.engine.stage import StageRun
 
-
-OTHER_ANGLE_DEG = 10.0  # from a trusted angle: filters are set to a degree, and the model bends what it fits by a few
+NEW_SHARE = 0.02  # of the newest loss in the log's running means: they look back about 50 steps, an epoch of most captures
 
 
 @dataclass
@@ -77,7 +73,7 @@ def train(stage: StageRun) -> None:
     write_log(stage.output / files.TRAIN_LOG, history.rows)
     stage.note("splats", len(trainer.scene.model))
     stage.note("iterations", trainer.iteration)
-    stage.note("hollowed", [round(share, 4) for share in trainer.hollowed])
+    stage.note("hollowed", [round(share, 4) for share in trainer.upkeep.hollowed])
     stage.note("openings", round(openings_share(trainer), 5))
     checkpoint.clear(stage.scratch)
 
@@ -149,7 +145,7 @@ def advance(trainer: Trainer, history: History, bar: Bar) -> None:
     """One step, its losses into the running means, validation when it is due."""
     losses = trainer.step()
     for name, value in losses.items():
-        history.sums[name] = 0.98 * history.sums.get(name, value) + 0.02 * value
+        history.sums[name] = (1 - NEW_SHARE) * history.sums.get(name, value) + NEW_SHARE * value
     extra = ""
     if trainer.iteration % trainer.parameters.validate_steps == 0:
         psnr = trainer.validate()
@@ -186,92 +182,3 @@ def write_log(path: Path, rows: list[dict[str, float]]) -> None:
         writer = csv.DictWriter(file, columns)
         writer.writeheader()
         writer.writerows(rows)
-
-
-def finish_polarisers(trainer: Trainer, stage: StageRun) -> None:
-    """Standard deviations at the end, and a warning where the capture cannot determine the Stokes vector."""
-    bank = trainer.scene.bank
-    assert bank is not None
-    for name, fit in trainer.estimate_angles(0).items():
-        k = bank.names.index(name)
-        bank.std_deg[k] = 0.0 if bank.trusted[k] else float(np.degrees(fit.std))
-        if bank.trusted[k]:
-            told, found, std = (float(np.degrees(v)) for v in (bank.angles[k].detach(), fit.angle, fit.std))
-            apart = abs((found - told + 90) % 180 - 90)
-            if apart > max(OTHER_ANGLE_DEG, 4 * std):
-                stage.warn(
-                    f"polariser {name}: told {told % 180:.0f} degrees, but the pictures fit {found:.0f} ± {std:.0f}: check the "
-                    "angle and how it is counted (counter-clockwise from the image's x axis), or find it (trusted = false)"
-                )
-    reason = bank.undetermined()
-    if reason:
-        stage.warn(f"the capture does not determine the polarisation: {reason}")
-
-
-def whole_view(trainer: Trainer, start: Start, source: SourceView) -> tuple[View, Any]:
-    """A view with every pixel that the model covers, whatever the masks say, and its rendering."""
-    blank = replace(source, mask=np.ones_like(source.mask), valid=np.ones_like(source.valid))
-    view = prepare(blank, start.frame, True, str(trainer.scene.model["position"].device))
-    return view, trainer.render_whole(view)
-
-
-def say_what_is_unexplained(trainer: Trainer, start: Start, sources: list[SourceView], stage: StageRun) -> None:
-    """Hold the model against the test views; a line with the figure and the view where it is of the wrong kind."""
-    noise = {view: facts.get("noise") or 0.0 for view, facts in frame_table(stage.inputs).items()}
-    found = {}
-    for source in sources:
-        if source.split != "test":
-            continue
-        view = prepare(source, start.frame, False, str(trainer.scene.model["position"].device))
-        if len(view.pixels) < FEWEST:
-            continue
-        rendered = trainer.render_whole(view).stokes
-        model, target = rendered[:, 0], view.target[:, 0]
-        if trainer.mode == "polarisers" and trainer.scene.bank is not None:
-            model, target = trainer.scene.bank.intensity(rendered, view.camera.name), 2 * target
-        arrays = None
-        if trainer.mode == "stokes":
-            arrays = rendered[:, 1:].cpu().numpy(), view.target[:, 1:].cpu().numpy()
-        scale = start.frame.exposure * (2.0 if trainer.mode == "polarisers" else 1.0)
-        found[source.name] = explained(model.cpu().numpy(), target.cpu().numpy(), arrays, scale * noise.get(source.name, 0.0))
-    stage.note(
-        "explained", {view: {k: None if v is None else round(v, 4) for k, v in vars(f).items()} for view, f in found.items()}
-    )
-    for line in doubts(found):
-        stage.warn(line)
-
-
-def openings_share(trainer: Trainer) -> float:
-    """Mean share of the object's pixels that look into an opening, over the training views."""
-    return float(np.mean([view.openings for view in trainer.pyramids[0]]))
-
-
-def write_results(trainer: Trainer, start: Start, sources: list[SourceView], stage: StageRun) -> None:
-    """Everything that dataset.md lists for this stage, except the log."""
-    output, frame = stage.output, start.frame
-    (output / files.TESTS).mkdir(parents=True, exist_ok=True)
-    (output / files.GBUFFERS).mkdir(parents=True, exist_ok=True)
-    openings = openings_share(trainer) > 0
-    with stage.progress.bar("writing views", total=len(sources), unit="views") as bar:
-        for source in sources:
-            view, rendered = whole_view(trainer, start, source)
-            channels = export.view_channels(rendered, view, frame)
-            write_gbuffer(files.gbuffer(output, source.name), channels)
-            if source.split == "test":
-                normals = mean_normals(trainer.scene.model.activated(), view, trainer.backend, openings)
-                channels = export.with_normals(channels, normals, view, frame)
-                write_exr(files.held_back_image(output, source.name), channels)
-            bar.advance()
-    offset = world_offset(stage.inputs["poses"] / files.CAMERAS)
-    export.write_gaussians(output / "gaussians.ply", trainer.scene.model, frame, offset)
-    export.write_environment(output / files.ENVIRONMENT, trainer.scene.environment.radiance(), frame)
-    export.write_polarisers(output / files.POLARISERS, trainer.scene.bank)
-    facts = {
-        "up": stage.capture.up,
-        "fresnel": trainer.parameters.fresnel,
-        "lobe": trainer.parameters.lobe,
-        "mirror": trainer.parameters.mirror,
-        "environment_resolution": trainer.parameters.environment_resolution,
-        "occlusion": bool(trainer.scene.occlusion),
-    }
-    export.write_lighting(output / files.LIGHTING, frame, facts)

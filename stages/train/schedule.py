@@ -7,6 +7,28 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .splats.optimiser import StepRule
+
+# Learning rates at the start, and rounds of diffusion of the updates over the surface graph. Positions are in units of the
+# object's half-size and move as one piece; colours and material hardly diffuse: neighbours may differ.
+STEP_RULES = {
+    "position": StepRule(4e-4, 6),
+    "normal": StepRule(8e-3, 4),
+    "log_scale": StepRule(4e-3),
+    "opacity": StepRule(2e-2),
+    "albedo": StepRule(2e-2, 1),
+    "roughness_offset": StepRule(4e-3, 2),
+    "ior_offset": StepRule(2e-3, 2),
+    "roughness": StepRule(1e-2),
+    "ior": StepRule(1e-2),
+    "environment": StepRule(4e-2),
+    "angles": StepRule(2e-2),
+}
+LAST_RATE = 0.03  # learning rates at the end, of those at the start: the last steps average over views
+LAST_ENVIRONMENT_RATE = 0.1  # the same of the environment, which few pixels of each view tell about
+WARM_UP, FIRST_RATE = 0.02, 0.1  # share of the run over which rates rise to theirs, and where from: Adam's moments are young
+DIFFUSE_UNTIL = 0.7  # share of the run after which updates are no longer diffused, so that detail is free to settle
+
 
 @dataclass(frozen=True)
 class Phase:
@@ -26,12 +48,12 @@ def cosine(start: float, end: float, t: float) -> float:
 
 def phase_at(done: float, coarse: float, consolidate: float) -> Phase:
     """The phase at a fraction `done` of the run."""
-    decay = cosine(1.0, 0.03, done)
-    warm = min(1.0, done / 0.02 + 0.1)
+    decay = cosine(1.0, LAST_RATE, done)
+    warm = min(1.0, done / WARM_UP + FIRST_RATE)
     return Phase(
         level=1 if done < coarse else 0,
-        rates={"": decay * warm, "environment": cosine(1.0, 0.1, done)},
-        diffusion=max(0.0, 1 - done / 0.7),
+        rates={"": decay * warm, "environment": cosine(1.0, LAST_ENVIRONMENT_RATE, done)},
+        diffusion=max(0.0, 1 - done / DIFFUSE_UNTIL),
         every_view=done >= 1 - consolidate,
     )
 

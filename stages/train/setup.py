@@ -17,26 +17,25 @@ from .initialise.silhouettes import are_masks, outline
 from .initialise.start import start_surface
 from .log_environment import Environment
 from .parameters import TrainParameters
+from .scene import Scene
 from .splats.gaussians import SplatModel, logit
-from .trainer import Scene
-from .views.data import (
+from .views.opening_pixels import has_openings, hole_coverage
+from .views.polarisers import PolariserBank
+from .views.source_views import (
     LEARNT,
     Mode,
     SourceView,
-    View,
     background_is_black,
     edge_offset,
     exposure_of,
     halved,
-    has_openings,
-    openness,
-    prepare,
     with_validation,
 )
-from .views.polarisers import PolariserBank
 from .views.training_frame import SceneFrame
+from .views.view import View, prepare
 
 START_ALBEDO, START_ROUGHNESS, START_IOR = 0.35, 0.35, 1.5  # an everyday dielectric
+BODY_SHARE, MIRROR_SHARE = 0.85, 0.07  # of a constant sky's light: what passes the surface in and out, and what it mirrors
 MEAN_EXPOSED = 0.25  # mean foreground radiance in the training exposure
 NO_POINTS = np.zeros((0, 3))
 
@@ -75,7 +74,18 @@ def prepare_training(
 ) -> Start:
     """Hull, splats, environment, polarisers and views in the training frame. Test views enter nowhere here.
 
-    `points` [N, 3]: the poses stage's sparse points, if any, in the capture's world. `cut`: cut openings out of the start.
+    Args:
+        sources: every view, as loaded.
+        mode: what the views hold.
+        priors: what is known of each camera's polariser.
+        up: the capture's up axis ("y", "-y", ...).
+        parameters: the stage's.
+        device: torch device of the tensors.
+        points: the poses stage's sparse points, if any, in the capture's world. [N, 3]
+        cut: cut openings out of the start.
+
+    Raises:
+        UserError: masks or cameras that no surface can be made of.
     """
     sources = with_validation(sources, parameters.validation_every)
     seen = [s for s in sources if s.split in LEARNT]
@@ -99,13 +109,8 @@ def prepare_training(
     closed = hull if openings and cut else None
     if closed is not None:
         hull = _with_openings(hull, seen, frame, pixel, None if begun.points else offset)
-    most = round(parameters.start_fraction * parameters.max_splats)
-    count = wanted_count(mesh_area(hull), pixel, parameters.splat_pixels, most)
-    samples = sample_evenly(hull, count, np.random.default_rng(parameters.seed))
-    model = SplatModel.from_samples(samples, START_ALBEDO, START_ROUGHNESS, START_IOR, device)
-    _tint(model, seen)
-    # What a grey object of that albedo must be lit by to look as bright as the photographs do.
-    environment = Environment(parameters.environment_resolution, MEAN_EXPOSED / (0.85 * START_ALBEDO + 0.07), device)
+    model = _start_model(hull, seen, pixel, parameters, device)
+    environment = start_environment(parameters.environment_resolution, device)
     bank = PolariserBank(priors, sorted({s.camera.name for s in seen}), device) if mode == "polarisers" else None
     levels = [sources]
     if parameters.coarse_fraction > 0:
@@ -115,9 +120,24 @@ def prepare_training(
     return Start(Scene(model, environment, bank, hull, closed), pyramids, frame, hull, black, pixel, found)
 
 
+def _start_model(hull: HullMesh, seen: list[SourceView], pixel: float, parameters: TrainParameters, device: str) -> SplatModel:
+    """Gaussians evenly on the hull, about `splat_pixels` apart, in the photographs' mean colour."""
+    most = round(parameters.start_fraction * parameters.max_splats)
+    count = wanted_count(mesh_area(hull), pixel, parameters.splat_pixels, most)
+    samples = sample_evenly(hull, count, np.random.default_rng(parameters.seed))
+    model = SplatModel.from_samples(samples, START_ALBEDO, START_ROUGHNESS, START_IOR, device)
+    _tint(model, seen)
+    return model
+
+
+def start_environment(resolution: int, device: str = "cpu") -> Environment:
+    """What a grey object of the start's albedo must be lit by to look as bright as the photographs do."""
+    return Environment(resolution, MEAN_EXPOSED / (BODY_SHARE * START_ALBEDO + MIRROR_SHARE), device)
+
+
 def _with_openings(hull: HullMesh, seen: list[SourceView], frame: SceneFrame, pixel: float, offset: float | None) -> HullMesh:
     """The hull (training frame) with its openings cut; `offset` of the masks, or None where it is not their hull."""
-    views = [OpeningView(frame.camera(s.camera), openness(s, frame.exposure)) for s in seen]
+    views = [OpeningView(frame.camera(s.camera), hole_coverage(s, frame.exposure)) for s in seen]
     silhouettes = [Silhouette(view.camera, s.mask) for view, s in zip(views, seen) if (s.mask > 0.5).any()]
     if offset is None:
         return cut_openings(hull, views, pixel) or hull

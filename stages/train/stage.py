@@ -17,7 +17,7 @@ def needed(capture: Capture, parameters: TrainParameters) -> Decision:
         return Decision(False, f"only {len(capture.views)} views; training needs {MIN_TRAINING_VIEWS} around the object")
     mode = capture.polarisation if parameters.polarisation == "auto" else parameters.polarisation
 
-    def told(name: str) -> str:
+    def known(name: str) -> str:
         prior = capture.polarisers.get(name)
         angle = None if prior is None else prior.angle_deg
         return f"{name} unknown" if angle is None else f"{name} refined from {angle:g} degrees"
@@ -28,7 +28,7 @@ def needed(capture: Capture, parameters: TrainParameters) -> Decision:
         "polarisers": Decision(True, "compared behind each polariser"),
         "none": Decision(False, "RGB only"),
     }[mode]
-    angles = Decision(bool(unknown), ", ".join(map(told, unknown)) if unknown else "no unknown polariser angle")
+    angles = Decision(bool(unknown), ", ".join(map(known, unknown)) if unknown else "no unknown polariser angle")
     occlusion = Decision(parameters.occlusion, "decided from the trained shape" if parameters.occlusion else "switched off")
     why = "switched on" if parameters.concavities == "on" else "full Stokes tells hollows from the hull"
     why_not = "switched off" if parameters.concavities == "off" else "only full Stokes is evidence enough"
@@ -43,7 +43,7 @@ def _trusted(capture: Capture, name: str) -> bool:
 
 
 def run(stage: StageRun) -> None:
-    """Train and write what dataset.md lists for this stage."""
+    """Train and write what docs/dataset.md lists for this stage."""
     from .run import train
 
     train(stage)

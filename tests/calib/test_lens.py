@@ -68,7 +68,7 @@ def test_straight_lenses_leave_no_second_frames(run_stages, tmp_path):
 
 @pytest.mark.slow
 def test_training_sources_of_a_bent_lens_are_those_of_a_straight_one(run_stages, tmp_path):
-    from stages.train.views.data import load_sources
+    from stages.train.views.source_views import load_sources
 
     sources = []
     for name, camera in (("bent", BENT), ("straight", PINHOLE)):

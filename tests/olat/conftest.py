@@ -9,14 +9,14 @@ import pytest
 
 from pipeline.capture.config import OlatConfig
 from stages.olat.parameters import OlatParameters
-from stages.olat.pixel_fit.fit_options import Settings
+from stages.olat.pixel_fit.fit_options import FitOptions
 from stages.olat.pixel_fit.many_pixels import fit
 from stages.olat.run import settings_of
 from synth.olat_pixels import Pixels
 
 
 @pytest.fixture
-def settings() -> Settings:
+def settings() -> FitOptions:
     return settings_of(OlatParameters(lobe="ward"), OlatConfig(), np.inf)
 
 

@@ -1,4 +1,4 @@
-"""Bands, reading and drift: what reaches the fits is what is in the files."""
+"""Bands, reading and misregistration: what reaches the fits is what is in the files."""
 
 import time
 import weakref
@@ -10,7 +10,7 @@ from pipeline.errors import UserError
 from pipeline.formats.images import write_exr
 from stages.olat.parameters import OlatParameters, every
 from stages.olat.reading.frame_reader import Samples, ahead, read_bands, read_rows
-from stages.olat.reading.misregistration import Drift, measure
+from stages.olat.reading.misregistration import Misregistration, measure
 from stages.olat.reading.scanline_bands import Band, bands_of
 
 
@@ -89,15 +89,15 @@ def test_a_truncated_frame_is_named(tmp_path):
         read_rows(path, 48, 64, 64, 64, True)
 
 
-def shifted(right: int, down: int) -> Drift:
+def shifted(right: int, down: int) -> Misregistration:
     rng = np.random.default_rng(1)
     blobs = sum(np.exp(-((np.mgrid[:64, :48] - rng.uniform(8, 40, (2, 1, 1))) ** 2).sum(0) / 12) for _ in range(20)) + 0.05
     images = [blobs, np.roll(blobs, (down, right), (0, 1))]
     band = Band(0, 64, np.arange(64 * 48))
-    drift = Drift(48, 64)
+    misregistration = Misregistration(48, 64)
     cross, parallel = (np.repeat(i.reshape(1, -1, 1), 3, 2).astype(np.float32) for i in images)
-    drift.add(Samples(band, cross, parallel))
-    return drift
+    misregistration.add(Samples(band, cross, parallel))
+    return misregistration
 
 
 @pytest.mark.parametrize("move", [(0, 0), (3, 0), (0, -2), (-4, 5)])

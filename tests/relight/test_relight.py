@@ -16,7 +16,7 @@ from pipeline.formats.images import read_image, read_stokes, write_exr, write_ma
 from pipeline.geometry.cameras import Camera, camera_from_opengl, save_cameras
 from pipeline.geometry.rays import RayMesh
 from pipeline.geometry.world import Y_UP_FROM
-from stages.relight.maps import read_map
+from stages.relight.environment_map import read_map
 from stages.relight.parameters import RelightParameters
 from stages.relight.stage import needed
 from stages.relight.stage import run as run_stage

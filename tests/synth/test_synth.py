@@ -17,12 +17,11 @@ RGB = ("R", "G", "B")
 def captures(tmp_path_factory):
     """A very small pair of captures: 2 views of 32x32, 6 lights."""
     pytest.importorskip("mitsuba")
-    from synth import stage_capture as lightstage
-    from synth import view_capture as views
+    from synth import stage_capture, view_capture
 
     root = tmp_path_factory.mktemp("synth")
-    views.make(root / "views", size=32, views=2, spp=16, seed=3)
-    lightstage.make(root / "stage", size=32, lights=6, spp=16, seed=3)
+    view_capture.make(root / "views", size=32, views=2, spp=16, seed=3)
+    stage_capture.make(root / "stage", size=32, lights=6, spp=16, seed=3)
     return root
 
 
@@ -67,9 +66,9 @@ def test_captures_are_recognised(captures):
 
 
 def test_same_seed_gives_the_same_bytes(captures, tmp_path):
-    from synth import view_capture as views
+    from synth import view_capture
 
-    views.make(tmp_path / "views", size=32, views=2, spp=16, seed=3)
+    view_capture.make(tmp_path / "views", size=32, views=2, spp=16, seed=3)
     for name in ("images/000.exr", "masks/001.png", "gt/normal/001.exr", "gt/relight/studio/000.exr"):
         assert (tmp_path / "views" / name).read_bytes() == (captures / "views" / name).read_bytes()
 

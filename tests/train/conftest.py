@@ -10,7 +10,7 @@ import torch
 
 from pipeline.geometry.cameras import Camera
 from pipeline.shading import Prefilter, cube_directions, shade
-from stages.train.views.data import SourceView
+from stages.train.views.source_views import SourceView
 
 AXES = np.array([1.0, 0.7, 0.85])
 ALBEDO, ROUGHNESS, IOR = (0.5, 0.25, 0.15), 0.3, 1.5

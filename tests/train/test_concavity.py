@@ -22,9 +22,9 @@ from stages.train.initialise.hull import HullMesh
 from stages.train.parameters import TrainParameters
 from stages.train.setup import prepare_training
 from stages.train.splats.gaussians import SplatModel, Splats
-from stages.train.splats.optimiser import Group, SurfaceAdam
+from stages.train.splats.optimiser import StepRule, SurfaceAdam
 from stages.train.trainer import Trainer
-from stages.train.views.data import SourceView
+from stages.train.views.source_views import SourceView
 
 from .conftest import ALBEDO, IOR, ROUGHNESS, ball_interval, look_at, plastic_image, sky
 
@@ -121,7 +121,7 @@ def test_splats_on_untouched_ground_survive_a_refit_bit_for_bit():
     rng = np.random.default_rng(0)
     model = SplatModel.from_samples(sample_evenly(mesh, 1500, rng), 0.4, 0.3, 1.5, "cpu")
     before = {name: t.detach().clone() for name, t in model.tensors.items()}
-    adam = SurfaceAdam({"position": Group(1e-3)})
+    adam = SurfaceAdam({"position": StepRule(1e-3)})
     model["position"].grad = torch.ones_like(model["position"])
     adam.step(model.tensors, {"": 1.0}, None)
     moved = model["position"].detach().clone()
@@ -129,7 +129,7 @@ def test_splats_on_untouched_ground_survive_a_refit_bit_for_bit():
     field = DepthField(samples, np.where(samples[:, 2] > 0.8, 0.2, 0.0))
     hollow = hollowed(mesh, field, 64)
     assert hollow is not None
-    new = refit(model, adam, field, hollow, spacing=0.09, room=1600, seed=0)
+    new = refit(model, adam, field, hollow, spacing=0.09, most=1600, seed=0)
     assert new is not None
     kept = len(model) - new
     assert new > 20 and len(model) <= 1600
@@ -244,7 +244,7 @@ def test_training_finds_a_dent_that_no_silhouette_shows():
             trainer.step()
         points = trainer.frame.points_to_world(trainer.scene.model["position"].detach().numpy().astype(float))
         inside_dent = DENT_RADIUS - np.linalg.norm(points - DENT_AT, axis=-1)
-        return float(np.quantile(inside_dent, 0.98)), trainer.hollowed
+        return float(np.quantile(inside_dent, 0.98)), trainer.upkeep.hollowed
 
     without, _ = gap("off")
     found, shares = gap("on")
@@ -267,5 +267,5 @@ def test_a_run_resumed_at_a_recess_is_the_same_run(tmp_path):
     for _ in range(20):
         trainer.step()
         resumed.step()
-    assert trainer.hollowed and trainer.hollowed == resumed.hollowed
-    assert all(torch.equal(value, resumed.tensors()[name]) for name, value in trainer.tensors().items())
+    assert trainer.upkeep.hollowed and trainer.upkeep.hollowed == resumed.upkeep.hollowed
+    assert all(torch.equal(value, resumed.scene.tensors()[name]) for name, value in trainer.scene.tensors().items())

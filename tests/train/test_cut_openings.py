@@ -64,5 +64,5 @@ def test_without_an_opening_nothing_is_cut() -> None:
 
 
 def test_one_view_alone_opens_nothing() -> None:
-    seen = [v if k == 0 else OpeningView(v.camera, np.zeros_like(v.openness)) for k, v in enumerate(views())]
+    seen = [v if k == 0 else OpeningView(v.camera, np.zeros_like(v.hole_coverage)) for k, v in enumerate(views())]
     assert cut_openings(ball(), seen, PIXEL) is None

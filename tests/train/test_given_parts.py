@@ -7,7 +7,7 @@ import pytest
 
 from pipeline.formats.images import write_exr
 from pipeline.geometry.cameras import save_cameras
-from stages.train.views.data import load_sources, with_validation
+from stages.train.views.source_views import load_sources, with_validation
 from synth import ball
 
 COUNT = 10

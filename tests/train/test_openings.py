@@ -15,7 +15,9 @@ from stages.train.parameters import TrainParameters
 from stages.train.render_view import mean_normals
 from stages.train.setup import prepare_training
 from stages.train.trainer import Trainer
-from stages.train.views.data import SourceView, has_openings, opening_pixels, prepare
+from stages.train.views.opening_pixels import has_openings, opening_pixels
+from stages.train.views.source_views import SourceView
+from stages.train.views.view import prepare
 
 from .conftest import look_at, plastic_image, sky
 
@@ -101,7 +103,7 @@ def test_a_bowl_stays_open_and_shows_the_normals_of_its_inside():
     blank = replace(seen, mask=np.ones_like(seen.mask))
     view = prepare(blank, start.frame, True)
     with torch.no_grad():
-        rendered = trainer.render_whole(view)
+        rendered = trainer.renderer.render_whole(view)
         channels = export.view_channels(rendered, view, start.frame)
         normals = mean_normals(trainer.scene.model.activated(), view, "cpu", True)
     assert np.median(channels["alpha"][hole]) < 0.2

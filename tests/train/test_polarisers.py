@@ -9,7 +9,8 @@ import pytest
 import torch
 
 from pipeline.capture.model import PolariserPrior
-from stages.train.views.polarisers import BENT, AngleSums, PolariserBank, fit_angle, fit_views
+from stages.train.views.angle_fit import JACKKNIFE_INFLATION, AngleSums, fit_angle, fit_views
+from stages.train.views.polarisers import PolariserBank
 
 
 def stokes_field(count: int = 4000) -> torch.Tensor:
@@ -61,7 +62,7 @@ def turned_views(off_degrees) -> list[AngleSums]:
 def test_views_that_disagree_say_how_uncertain_an_angle_is():
     off = 3.0 * np.random.default_rng(0).standard_normal(16)
     fit = fit_views(turned_views(off), 1.0)
-    expected = BENT * off.std(ddof=1) / math.sqrt(len(off))
+    expected = JACKKNIFE_INFLATION * off.std(ddof=1) / math.sqrt(len(off))
     assert math.degrees(fit.std) == pytest.approx(expected, rel=0.15)
     assert math.degrees(fit.angle) == pytest.approx(23.0 + off.mean(), abs=0.3)
     assert math.degrees(fit_angle(turned_views([3.0])[0], 1.0).std) < 0.5  # pixels alone would claim that

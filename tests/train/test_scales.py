@@ -15,7 +15,8 @@ from stages.train.evaluate import psnr
 from stages.train.parameters import TrainParameters
 from stages.train.setup import prepare_training
 from stages.train.trainer import Trainer
-from stages.train.views.data import SourceView, exposure_of, has_openings, opening_pixels
+from stages.train.views.opening_pixels import has_openings, opening_pixels
+from stages.train.views.source_views import SourceView, exposure_of
 
 from .conftest import ball_interval, look_at, moved, plastic_image, sky
 

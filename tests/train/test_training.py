@@ -12,9 +12,11 @@ import torch
 from pipeline.capture.model import PolariserPrior
 from pipeline.errors import UserError
 from stages.train import checkpoint
+from stages.train.log_environment import Environment
 from stages.train.parameters import TrainParameters
 from stages.train.setup import prepare_training
-from stages.train.trainer import CYCLE, Trainer
+from stages.train.trainer import Trainer
+from stages.train.upkeep import CYCLE
 
 from .conftest import AXES, IOR, moved
 
@@ -73,8 +75,24 @@ def test_a_resumed_run_is_the_same_run(make_sources, tmp_path):
     resumed.load(checkpoint.load(tmp_path)["trainer"])
     for _ in range(130):
         resumed.step()
-    for name, value in straight.tensors().items():
-        assert torch.equal(value, resumed.tensors()[name]), name
+    for name, value in straight.scene.tensors().items():
+        assert torch.equal(value, resumed.scene.tensors()[name]), name
+
+
+def test_the_environments_smoothness_has_the_same_gradient_every_time():
+    before = torch.get_num_threads()
+    torch.set_num_threads(2)  # as numba's OpenMP pool leaves it, whatever training asks for
+    try:
+        environment, seen = Environment(32, 0.6), set()
+        with torch.no_grad():
+            environment.raw.add_(torch.randn(environment.raw.shape, generator=torch.Generator().manual_seed(0)))
+        for _ in range(100):
+            environment.raw.grad = None
+            environment.roughness_of().backward()
+            seen.add(environment.raw.grad.numpy().tobytes())
+    finally:
+        torch.set_num_threads(before)
+    assert len(seen) == 1
 
 
 def test_a_broken_checkpoint_is_as_none_and_told(tmp_path):
@@ -124,7 +142,7 @@ def test_units_and_axes_change_no_more_than_the_seed_does(make_sources, seed_noi
 @pytest.mark.slow
 def test_a_sun_of_1e5_beside_a_dim_sky_trains(make_sources):
     trainer = trained(make_sources(40, 16, sun=1e5), 150)
-    for name, value in trainer.tensors().items():
+    for name, value in trainer.scene.tensors().items():
         assert torch.isfinite(value).all(), name
     assert math.isfinite(trainer.validate())
 
@@ -214,7 +232,7 @@ def damaged(sources, name):
 )
 def test_extreme_input_leaves_nothing_that_is_not_finite(make_sources, name):
     trainer = trained(damaged(make_sources(32, 12), name), 12)
-    for tensor_name, value in trainer.tensors().items():
+    for tensor_name, value in trainer.scene.tensors().items():
         assert torch.isfinite(value).all(), tensor_name
     assert math.isfinite(trainer.validate()) and trainer.validate() < 119
 

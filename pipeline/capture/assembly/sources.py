@@ -6,20 +6,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
-from pipeline.capture.angle_stack.solve import design_covariance, polariser_design
+from pipeline.capture.assembly.loaders import colour_loader, mosaic_loader, stack_loader
 from pipeline.capture.config import CaptureConfig, MosaicConfig
-from pipeline.capture.model import DecodedView, ViewSource
-from pipeline.capture.mosaic.order import order_fault
-from pipeline.capture.mosaic.sensor_files import mosaic_colour, read_mosaic, refuse_colour
+from pipeline.capture.model import ViewSource
+from pipeline.capture.mosaic.sensor_files import mosaic_colour, refuse_colour
 from pipeline.capture.naming.files import RAW_SUFFIXES, refuse_duplicates
 from pipeline.capture.naming.grouping import Exposure, Group, group_and_rest
 from pipeline.capture.naming.pages import paged
-from pipeline.capture.pixels.brackets import read_exposures
-from pipeline.capture.pixels.stokes_files import finished, holds_stokes, is_verbatim, mended, stokes_exr_loader
-from pipeline.capture.pixels.stokes_frame import apply_stokes_config
+from pipeline.capture.pixels.stokes_files import holds_stokes, stokes_exr_loader
 from pipeline.capture.radiometry.found import understand
 from pipeline.capture.recognition.mosaic_set import STRAYS, mosaic_set
 from pipeline.capture.recognition.strangers import left_out_line
@@ -27,10 +21,7 @@ from pipeline.errors import UserError
 from pipeline.formats.image_parts import Page
 from pipeline.formats.images import channel_names, image_size
 
-NO_CARRIERS = "mosaic.order has no crossed polarisers on the diagonals: each angle is interpolated on its own, less exactly"
-
 Camera_of = Callable[[Group], str]
-
 
 @dataclass(frozen=True)
 class Sources:
@@ -126,7 +117,7 @@ def _understood(groups: list[Group], folder: Path, config: CaptureConfig, camera
         refuse_colour([p for g in groups for p in g.paths], config)
     known = understand(groups, config, "colour")
     views = tuple(
-        ViewSource(g.view, g.paths, camera_of(g), _colour_loader(g, known.config), size_of(g.paths[0])) for g in groups
+        ViewSource(g.view, g.paths, camera_of(g), colour_loader(g, known.config), size_of(g.paths[0])) for g in groups
     )
     return Sources("colour", views, tuple(groups), known.facts, warnings=known.warnings)
 
@@ -172,7 +163,7 @@ def _stacks(groups: list[Group], config: CaptureConfig, camera_of: Camera_of) ->
 
     def source(g: Group) -> ViewSource:
         page = next(iter(g.angles.values()))[0].page
-        loader = _stack_loader(g, known.config, camera_of(g))
+        loader = stack_loader(g, known.config, camera_of(g))
         return ViewSource(g.view, g.paths, camera_of(g), loader, size_of(g.paths[0], page), paged=page is not None)
 
     inside = " (images of one file)" if any(e.page for es in usual.angles.values() for e in es) else ""
@@ -184,81 +175,8 @@ def _mosaics(groups: list[Group], config: CaptureConfig, camera_of: Camera_of) -
     colour = config.mosaic.colour or mosaic_colour([g.paths[0] for g in groups], config)
     known = understand(groups, config, "mosaic", colour == "bayer")
     views = tuple(
-        ViewSource(g.view, g.paths, camera_of(g), _mosaic_loader(g, known.config, colour), size_of(g.paths[0])) for g in groups
+        ViewSource(g.view, g.paths, camera_of(g), mosaic_loader(g, known.config, colour), size_of(g.paths[0])) for g in groups
     )
     order = " ".join(f"{a:g}" for a in config.mosaic.order[:2]) + " / " + " ".join(f"{a:g}" for a in config.mosaic.order[2:])
     what = f"polariser mosaic {order} ({'quad-Bayer ' + config.mosaic.bayer if colour == 'bayer' else 'monochrome'})"
     return Sources("mosaic", views, tuple(groups), (what, *known.facts), warnings=known.warnings)
-
-
-def _colour_loader(group: Group, config: CaptureConfig) -> Callable[[], DecodedView]:
-    def load() -> DecodedView:
-        image = read_exposures(group.angles[None], config.radiometry, view=group.view)
-        rgb = np.ascontiguousarray(image.rgb(group.paths[0]))
-        if config.radiometry.white_balance:
-            rgb *= np.asarray(config.radiometry.white_balance, np.float32)
-        view = finished(DecodedView(rgb=rgb, saturated=image.saturated, alpha=image.alpha), group.paths[0], image)
-        if len(group.paths) == 1 and is_verbatim(view, image, group.paths[0], ("R", "G", "B"), config):
-            view.verbatim = group.paths[0]
-        return view
-
-    return load
-
-
-def _stack_loader(group: Group, config: CaptureConfig, camera: str) -> Callable[[], DecodedView]:
-    def load() -> DecodedView:
-        from pipeline.capture.angle_stack.reader import read_stack
-
-        return read_stack(group, config, config.polarisers.get(camera))
-
-    return load
-
-
-def _mosaic_loader(group: Group, config: CaptureConfig, colour: str) -> Callable[[], DecodedView]:
-    def load() -> DecodedView:
-        from pipeline.capture.mosaic.carriers import carries
-        from pipeline.capture.mosaic.demosaic import demosaic
-
-        path = group.paths[0]
-        image = read_mosaic(group, config)
-        image.saturated, faults = mended(image.pixels, image.saturated, path)  # a hole would spread over its windows
-        samples = image.pixels[..., 0]
-        block = 4 if colour == "bayer" else 2
-        if samples.shape[0] % block or samples.shape[1] % block:
-            raise UserError(
-                path,
-                f"{samples.shape[1]}x{samples.shape[0]} are no whole {block}x{block} polariser blocks",
-                "crop to whole blocks, or is it no mosaic?",
-            )
-        told = config.polarisers.get(group_camera(group))
-        extinction = told.extinction if told else None
-        stokes = demosaic(samples, config.mosaic.order, colour, config.mosaic.bayer, config.mosaic.demosaic, extinction)
-        if config.radiometry.white_balance:
-            stokes *= np.asarray(config.radiometry.white_balance, np.float32)
-        stokes = apply_stokes_config(stokes, config.stokes)
-        design = polariser_design(config.mosaic.order, extinction)
-        view = DecodedView(
-            stokes=stokes, saturated=_block_any(image.saturated), alpha=image.alpha, design=design,
-            covariance=design_covariance(design),
-        )  # fmt: skip
-        fault = order_fault(samples, config.mosaic.order)
-        if not fault and config.mosaic.demosaic == "carriers" and not carries(config.mosaic.order):
-            fault = NO_CARRIERS
-        if fault:
-            view.faults[fault] = 0
-        view.faults |= faults
-        return finished(view, path, image, whole=True)
-
-    return load
-
-
-def group_camera(group: Group) -> str:
-    """A mosaic's one physical camera."""
-    return "camera"
-
-
-def _block_any(saturated: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """A saturated sample spoils every pixel that uses it: its neighbours within two pixels."""
-    from scipy.ndimage import binary_dilation
-
-    return binary_dilation(saturated, iterations=2, structure=np.ones((3, 3), bool)) if saturated.any() else saturated

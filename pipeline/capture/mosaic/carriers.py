@@ -60,7 +60,7 @@ HALO = {"mono": 8, "bayer": 20}
 
 
 def carries(order: Sequence[float]) -> bool:
-    """Whether the crossed polarisers of a cell share its diagonals, calibrated angles included, and the two pairs differ."""
+    """True if both diagonals of the 2x2 cell hold polarisers 90 degrees apart (within CROSSED_DEG) and the pairs differ."""
     crossed = all(abs((order[a] - order[b]) % 180 - 90) < CROSSED_DEG for a, b in ((0, 3), (1, 2)))
     return crossed and 10 < (order[0] - order[1]) % 90 < 80
 
@@ -78,7 +78,8 @@ def _basis(order: tuple[float, ...], extinction: float | None) -> tuple[np.float
 
 @dataclass(frozen=True)
 class _Cells:
-    """Of a tile of cells: which colour each has in a 2x2 block of them, and one over its share of the chroma window."""
+    """Per-tile constants: the Bayer colour index of each cell of a 2x2 block, 1 / (share of CHROMA_WINDOW that a colour covers)
+    [3, H, W], and the inverse of MIXTURE."""
 
     bayer: NDArray[np.int64]
     over_share: Plane
@@ -122,7 +123,7 @@ def solve_tile(
 
     `level`: see `bright_level`.
     """
-    from pipeline.capture.mosaic import demosaic_kernels as kernels
+    from pipeline.capture.mosaic import demosaic_kernels
 
     scale, basis, modulation = _basis(tuple(order), extinction)
     scale /= np.float32(level)
@@ -135,24 +136,24 @@ def solve_tile(
     terms = _scratch("terms", (colours, 4, *cells))
     ratios = _scratch("ratios", (colours, 2, *cells))
     if bayer:
-        kernels.pool_light(samples, scale / np.float32(4), at.bayer, chroma)
+        demosaic_kernels.pool_light(samples, scale / np.float32(4), at.bayer, chroma)
         for c in range(3):
             _filter(chroma[c], CHROMA_WINDOW, chroma[c])
         chroma *= at.over_share
-        kernels.to_chroma(chroma, DIM, root)
-        kernels.one_colour(samples, scale, chroma, at.bayer, light)
+        demosaic_kernels.to_chroma(chroma, DIM, root)
+        demosaic_kernels.one_colour(samples, scale, chroma, at.bayer, light)
     else:
         chroma[...] = root[...] = 1
         np.multiply(samples, scale, out=light)
         np.maximum(light, 0, out=light)
-    kernels.demodulate(light, root, at.bayer, EDGE, COLOUR_EDGE, DARK, parts)
+    demosaic_kernels.demodulate(light, root, at.bayer, EDGE, COLOUR_EDGE, DARK, parts)
     for k in range(4):
         _filter(parts[k], COMMON_WINDOW if bayer else MONO_WINDOW, sums[k])
     if bayer:
-        kernels.colour_terms(parts, sums, at.bayer, terms)
+        demosaic_kernels.colour_terms(parts, sums, at.bayer, terms)
         for plane in terms.reshape(12, *cells):
             _filter(plane, COLOUR_WINDOW, plane)
-    kernels.solve_ratios(sums, terms, root, at.unmix, basis, MAX_RATIO, ratios)
-    kernels.unpolarise(light, ratios, modulation, at.bayer, even)
-    kernels.along_edges(even, EVEN, grey)
-    kernels.write_tile(grey, chroma, ratios, np.float32(level), halo, _scratch("row", (3 * colours, cells[1])), out)
+    demosaic_kernels.solve_ratios(sums, terms, root, at.unmix, basis, MAX_RATIO, ratios)
+    demosaic_kernels.unpolarise(light, ratios, modulation, at.bayer, even)
+    demosaic_kernels.along_edges(even, EVEN, grey)
+    demosaic_kernels.write_tile(grey, chroma, ratios, np.float32(level), halo, _scratch("row", (3 * colours, cells[1])), out)

@@ -130,7 +130,10 @@ def demodulate(
 def colour_terms(
     cells: NDArray[np.float32], sums: NDArray[np.float32], bayer: NDArray[np.int64], out: NDArray[np.float32]
 ) -> None:
-    """What the cells [4] of each colour differ by from the ratio of all, sums [4]: out [K, 4], zero at other colours."""
+    """Per-colour deviation of the cells [4, H, W] from the ratio of all colours (sums [4, H, W]).
+
+    out [K, 4, H, W]: of each of K colours the weights and deviations along rows and along columns; 0 at cells of others.
+    """
     for y in range(cells.shape[1]):
         for x in range(cells.shape[2]):
             own = bayer[y & 1, x & 1]
@@ -204,7 +207,7 @@ def unpolarise(
 
 @kernel(nogil=True, fastmath=True)
 def along_edges(image: Plane, dark: np.float32, out: Plane) -> None:
-    """Half of each pixel and half of the mean of three along its row or column, whichever changes less."""
+    """Edge-directed smoothing: 0.5 x + 0.5 (mean of 3 along the axis, row or column, with the smaller gradient)."""
     height, width = image.shape
     quarter, half = F(0.25), F(0.5)
     for y in range(height):
@@ -235,7 +238,7 @@ def write_tile(
 ) -> None:
     """`level` times light, chroma and ratios, both bilinear between cells, as Stokes out [rows, columns, 3, 3].
 
-    `wide` [3 K, w / 2] is room for a row of cells. The tile's planes reach `halo` samples further than `out`.
+    `wide` [3 K, w / 2] is the workspace of a row of cells. The tile's planes reach `halo` samples further than `out`.
     """
     colours = chroma.shape[0]
     near, far = F(0.75), F(0.25)

@@ -157,7 +157,8 @@ def _tell(stage: StageRun, records: dict[str, FrameRecord]) -> None:
     stage.note("saturated_views", len(clipped))
     if impossible > total * 0.01:  # noise alone makes a few; more has a cause that the user can mend
         stage.warn(
-            f"{stage.capture.root}: DoLP is above 1 in {100 * impossible / total:.1f} % of the pixels: black level, order?"
+            f"{stage.capture.root}: DoLP is above 1 in {100 * impossible / total:.1f} % of the pixels: "
+            "check radiometry.black_level, and mosaic.order or the stack's angles"
         )
     black = [v for v, r in sorted(records.items()) if r.black]
     if len(black) == len(records):

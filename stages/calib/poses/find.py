@@ -80,7 +80,10 @@ def triangulate(stage: StageRun, cameras: Mapping[str, Camera], offset: NDArray[
     session.match()
     points, colours = session.triangulate(cameras)
     if len(points) < MIN_FEATURES:
-        stage.warn(f"{stage.capture.root}: only {len(points)} points agree with the given cameras: axes, direction, pixels?")
+        stage.warn(
+            f"{stage.capture.root}: only {len(points)} points agree with the given cameras; "
+            "check axis convention, pose direction (world-to-camera or back), focal length and principal point"
+        )
     stage.note("points", len(points))
     if len(points):
         write_sparse(stage.output / "sparse", cameras, points, colours, FRAME_SUFFIX, offset)

@@ -35,16 +35,16 @@ def write_report(run: StageRun, metrics: dict[str, Any], manifests: Mapping[str,
         "packages": dict(sorted({k: v for m in manifests.values() for k, v in m.get("packages", {}).items()}.items())),
     }  # fmt: skip
     if "train" in run.inputs:
-        from . import model_pictures as views
+        from . import model_pictures
 
-        context["views"] = views.view_cards(run, metrics)
-        context["environment"] = views.environment_pictures(run)
-        context["relit"] = views.relit_cards(run, metrics) if "relight" in run.inputs else []
+        context["views"] = model_pictures.view_cards(run, metrics)
+        context["environment"] = model_pictures.environment_pictures(run)
+        context["relit"] = model_pictures.relit_cards(run, metrics) if "relight" in run.inputs else []
     if "olat" in run.inputs:
-        from . import rig_pictures as lightstage
+        from . import rig_pictures
 
-        context["olat"] = lightstage.olat_cards(run, metrics)
-        context["relit"] = lightstage.relit_cards(run) if "relight" in run.inputs else []
+        context["olat"] = rig_pictures.olat_cards(run, metrics)
+        context["relit"] = rig_pictures.relit_cards(run) if "relight" in run.inputs else []
     (run.output / "report.html").write_text(render("report.html.jinja", context, Path(__file__).parent), encoding="utf-8")
 
 

@@ -1,4 +1,4 @@
-"""What the kernels are told: plain numbers, and how much room they are given. Importing this loads nothing heavy."""
+"""Options of the per-pixel fit as plain numbers, and the sizes of its workspaces. Importing this loads nothing heavy."""
 
 from __future__ import annotations
 
@@ -6,18 +6,18 @@ from typing import NamedTuple
 
 CHUNK = 16  # pixels turned at a time: 96 contiguous bytes of a half-float frame, and their samples stay in the L2 cache
 SPARE = 9 + 12 + 6 + 1
-"""Numbers a light that a mixture of tangents works in: the lights near its lobe, its derivatives, one lobe's, and weights."""
+"""Scratch floats per light of the mixed-tangent fit: 9 of a light near the lobe, 12 derivatives, 6 of one lobe, 1 weight."""
 ROWS = 3 + 14 + 3 + 3 + 2 + SPARE
-"""Numbers a light in a pixel's workspace."""
-ROOM = 6 * CHUNK + 4 + ROWS
-"""Numbers a light in a thread's workspace: the samples of a chunk, directions and energies of near lights, a pixel's."""
+"""Floats per light in a pixel's workspace."""
+WORKSPACE_PER_LIGHT = 6 * CHUNK + 4 + ROWS
+"""Floats per light in a thread's workspace: a chunk's samples, directions and energies of near lights, a pixel's workspace."""
 
 JOINT, HALF_VECTOR, CORRELATION = 0, 1, 2
 SPECULAR_FITS = {"joint": JOINT, "half-vector": HALF_VECTOR, "correlation": CORRELATION}
 ROUND = 0.03  # anisotropy below which a lobe counts as round
 
 
-class Settings(NamedTuple):
+class FitOptions(NamedTuple):
     """What the kernels need to know about a capture and how to fit it."""
 
     lobe: int

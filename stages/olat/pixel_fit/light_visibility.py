@@ -56,13 +56,13 @@ def _diffuse_sums(diffuse, rgb, ok, wx, wy, wz, area, nx, ny, nz, albedo, zeta, 
 
 
 @kernel(error_model="numpy")
-def diffuse_maps(room, w, area, n_d, albedo, zeta, out):
+def diffuse_maps(workspace, w, area, n_d, albedo, zeta, out):
     """Visibility, occlusion (Eq. 5, normalised by the rig's own unoccluded sum), inter-reflection (Eq. 4); residual sums."""
     kind = area.dtype.type
     nx, ny, nz, size, floor = kind(n_d[0]), kind(n_d[1]), kind(n_d[2]), kind(albedo), kind(zeta)
-    _seen(room.diffuse, room.ok, w[0], w[1], w[2], nx, ny, nz, size, floor, room.use)
+    _seen(workspace.diffuse, workspace.ok, w[0], w[1], w[2], nx, ny, nz, size, floor, workspace.use)
     seen, front, lit, whole, square, data, r, g, b = _diffuse_sums(
-        room.diffuse, room.rgb, room.ok, w[0], w[1], w[2], area, nx, ny, nz, size, floor, room.use
+        workspace.diffuse, workspace.rgb, workspace.ok, w[0], w[1], w[2], area, nx, ny, nz, size, floor, workspace.use
     )
     out[VISIBILITY_D] = seen / front if front > 0 else 0.0
     out[OCCLUSION_D] = lit / whole if whole > 0 else 0.0
@@ -102,35 +102,35 @@ def _from_behind(light, ok, wx, wy, wz, area, nx, ny, nz, zeta):
 
 
 @kernel(error_model="numpy")
-def specular_maps(room, n, g, rho, zeta, all_area, w, n_s, out):
+def specular_maps(workspace, n, g, rho, zeta, all_area, w, n_s, out):
     """Share of the lobe's lights and energy that arrives, and what arrives from behind; returns residual sums."""
     kind = all_area.dtype.type
     expected, arriving, lit, whole, square, data = _lobe_sums(
-        room.light[:n], g, room.area[:n], room.seen[:n], room.bound[:n], kind(rho), kind(zeta)
+        workspace.light[:n], g, workspace.area[:n], workspace.seen[:n], workspace.bound[:n], kind(rho), kind(zeta)
     )
     out[VISIBILITY_S] = arriving / expected if expected > 0 else 0.0
     out[OCCLUSION_S] = lit / whole if whole > 0 else 0.0
     x, y, z = kind(n_s[0]), kind(n_s[1]), kind(n_s[2])
-    out[INTER_S] = max(_from_behind(room.specular, room.ok, w[0], w[1], w[2], all_area, x, y, z, kind(zeta)), 0.0)
+    out[INTER_S] = max(_from_behind(workspace.specular, workspace.ok, w[0], w[1], w[2], all_area, x, y, z, kind(zeta)), 0.0)
     return float(square), float(data)
 
 
 @kernel(error_model="numpy")
-def printed_maps(light, room, w, n, zeta, out, specular):
+def printed_maps(light, workspace, w, n, zeta, out, specular):
     """PRF Eqs. 4 and 5 as printed: every light counts alike, 4/N normalises, `I > zeta` is visible."""
     lit = seen = front = r = g = b = 0.0
     for k in range(light.size):
         p = n[0] * w[0, k] + n[1] * w[1, k] + n[2] * w[2, k]
-        arrives = light[k] > zeta and room.ok[k] > 0
+        arrives = light[k] > zeta and workspace.ok[k] > 0
         if p > 0:
             front += 1
             if arrives:
                 seen += 1
                 lit += p
         elif arrives:
-            r -= p * (light[k] if specular else room.rgb[0, k])
-            g -= p * room.rgb[1, k]
-            b -= p * room.rgb[2, k]
+            r -= p * (light[k] if specular else workspace.rgb[0, k])
+            g -= p * workspace.rgb[1, k]
+            b -= p * workspace.rgb[2, k]
     visible = seen / front if front > 0 else 0.0
     if specular:
         out[OCCLUSION_S], out[VISIBILITY_S], out[INTER_S] = 4 * lit / light.size, visible, max(r, 0.0)

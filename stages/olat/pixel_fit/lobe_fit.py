@@ -27,13 +27,13 @@ ROUND_STEPS, DIRECTED_STEPS = 2, 3  # Levenberg-Marquardt steps between two rewe
 
 @kernel(error_model="numpy")
 def fit_lobe(settings, o, n_d, prior, solved, half, incident, light, floor, use, area, cosine, weight, g, top, noise,
-             frame, shape, rho, equations, room):  # fmt: skip
+             frame, shape, rho, equations, workspace):  # fmt: skip
     """Fit one pixel's lobe in place on (frame, shape, rho[0]).
 
     half, incident [3, N], light, floor, use, area (sr), cosine (h·o) [N]: the lights before the surface; weight, g [N]:
     workspace, left with the final weights and the lobe's values; equations [6, 6]: left with
     one lobe's normal equations (`specular.optimise`); top, noise: brightest sample and deviation; prior: strength of
-    the tie to n_d where `solved`, negative where n_d is simply given; room: `workspace.Room`.
+    the tie to n_d where `solved`, negative where n_d is simply given; workspace: `workspace.Workspace`.
     Returns (gradient norm, passes, order of the tangents: 1 where one lobe is kept, less where they mix; what the tie added to
     the equations' first two diagonal entries).
     """
@@ -89,10 +89,10 @@ def fit_lobe(settings, o, n_d, prior, solved, half, incident, light, floor, use,
         copy2(frame, frame2)
         cost = reweight(g, kind(rho[0]), light, use, absolute, RELATIVE, weight)
         tie = _stiffness(prior, g, kind(rho[0]), light, use, weight) if stiff else 0.0
-        trial, trial_weight = room.trial[0, : light.size], room.trial[1, : light.size]
+        trial, trial_weight = workspace.trial[0, : light.size], workspace.trial[1, : light.size]
         other, more = fit_mixed(settings.lobe, frame2, x, large, small, angle, rho[0], o, half, incident, light, floor, use,
                                 absolute, RELATIVE, tie, n_d, settings.tolerance, settings.mixed * cost, trial_weight,
-                                trial, room)  # fmt: skip
+                                trial, workspace)  # fmt: skip
         passes += more
         total, angle, order2 = concentration(x)
         if other < settings.mixed * cost and total > 0:

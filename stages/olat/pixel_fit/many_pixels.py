@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from pipeline.capture.model import LightTable
 from pipeline.kernels import native
-from stages.olat.pixel_fit.fit_options import ROOM, Settings
+from stages.olat.pixel_fit.fit_options import WORKSPACE_PER_LIGHT, FitOptions
 from stages.olat.pixel_fit.result_layout import WIDTH
 
 SHARE = 64  # pixels that a thread takes at a time: a few milliseconds, so that threads end together
@@ -52,7 +52,7 @@ def _kernel(sample: str, precision: str) -> native.Kernel:
 
 
 def fit(
-    cross: NDArray, parallel: NDArray, view: NDArray, rig: LightTable, settings: Settings, precision: str = "float32",
+    cross: NDArray, parallel: NDArray, view: NDArray, rig: LightTable, settings: FitOptions, precision: str = "float32",
     points: NDArray | None = None, threads: int | None = None, part: tuple[int, int] | None = None,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:  # fmt: skip
     """Fit the pixels of samples [N, P, 3] (half-float bits or floats) under a `LightTable` with solid angles.
@@ -75,14 +75,14 @@ def fit(
     first, last = part or (0, pixels)
 
     workers = threads or os.cpu_count() or 1
-    rooms = [(np.empty(ROOM * count, kind), np.empty(count, np.int64)) for _ in range(workers)]
+    workspaces = [(np.empty(WORKSPACE_PER_LIGHT * count, kind), np.empty(count, np.int64)) for _ in range(workers)]
     given = [array.ctypes.data for array in arrays]
 
     def share(start: int) -> None:
-        room, front = own = rooms.pop()
-        addresses = (array.ctypes.data for array in (room, front, out, norms))
+        workspace, front = own = workspaces.pop()
+        addresses = (array.ctypes.data for array in (workspace, front, out, norms))
         kernel(start, min(start + SHARE, last), count, pixels, points is not None, *given, *addresses)
-        rooms.append(own)
+        workspaces.append(own)
 
     with ThreadPoolExecutor(workers) as pool:
         list(pool.map(share, range(first, last, SHARE)))

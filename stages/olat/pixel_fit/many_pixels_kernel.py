@@ -11,12 +11,12 @@ from numba.extending import overload
 from pipeline.kernels.compiling import kernel
 from pipeline.kernels.native import machine_code
 from pipeline.kernels.scratch import folded
-from stages.olat.pixel_fit.fit_options import CHUNK, ROOM, Settings
+from stages.olat.pixel_fit.fit_options import CHUNK, WORKSPACE_PER_LIGHT, FitOptions
 from stages.olat.pixel_fit.one_pixel import fit_pixel
 from stages.olat.pixel_fit.result_layout import WIDTH
 from stages.olat.pixel_fit.workspace import make_room
 
-COUNT = len(Settings._fields)
+COUNT = len(FitOptions._fields)
 
 
 def value(sample, table):
@@ -45,8 +45,8 @@ def _near(point, positions, intensity, w, energy):
 
 @kernel(error_model="numpy")
 def _settings(v):
-    """Settings from their numbers in order."""
-    return Settings(
+    """Options from their numbers in order."""
+    return FitOptions(
         int(v[0]), int(v[1]), int(v[2]), int(v[3]), v[4], v[5], v[6], v[7], v[8], v[9], v[10],
         v[11] != 0, int(v[12]), v[13] != 0, v[14] != 0, v[15] != 0, v[16] != 0,
     )  # fmt: skip
@@ -60,18 +60,18 @@ def fit_pixels(
 
     cross, parallel [N, P, 3]: half-float bits (uint16) or floats; table float32 [65536]; view float64 [P, 3]: to the camera;
     points [P, 3]: where each pixel's surface is, read where the lights are `near`; directions [3, N], positions float64 [N, 3],
-    area, intensity [N]; settings float64: their numbers; workspace [ROOM N], front int64 [N]. `out` float64 [P, WIDTH] and
-    `norms` [P, 2] (specular gradient norm, passes) are filled.
+    area, intensity [N]; settings float64: their numbers; workspace [WORKSPACE_PER_LIGHT N], front int64 [N]. `out` float64
+    [P, WIDTH] and `norms` [P, 2] (specular gradient norm, passes) are filled.
     """
     samples = (carray(cross, (count, pixels, 3)), carray(parallel, (count, pixels, 3)))
     values, toward, surface = carray(table, 65536), carray(view, (pixels, 3)), carray(points, (pixels, 3))
     w, energy, areas = carray(directions, (3, count)), carray(intensity, count), carray(area, count)
     told = _settings(carray(settings, COUNT))
     rows, ends = carray(out, (pixels, WIDTH)), carray(norms, (pixels, 2))
-    room = carray(workspace, ROOM * count)
+    workspace = carray(workspace, WORKSPACE_PER_LIGHT * count)
     half = 3 * CHUNK * count
-    x, y = folded(room, 3 * CHUNK, count), folded(room[half:], 3 * CHUNK, count)
-    rest = room[2 * half :]
+    x, y = folded(workspace, 3 * CHUNK, count), folded(workspace[half:], 3 * CHUNK, count)
+    rest = workspace[2 * half :]
     if near:
         w, energy = folded(rest, 3, count), rest[3 * count : 4 * count]
     work = make_room(count, rest[4 * count :], carray(front, count))

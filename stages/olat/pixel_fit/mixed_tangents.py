@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from pipeline.kernels import scratch as stack
+from pipeline.kernels import scratch
 from pipeline.kernels.compiling import kernel
 from pipeline.kernels.numerics import FAST, ZERO, cholesky_solve, copy1, copy2
 from pipeline.rig.lobe_names import GGX
@@ -55,7 +55,7 @@ def direction(x, j):
 @kernel(error_model="numpy")
 def _system(lobe, frame, x, o, h, i, light, floor, weight, rows, one, prior, n_d, matrix, gradient):
     """Normal equations [SIZE, SIZE] of the mixture at x = (s1, s2, first angle, weights); returns the cost."""
-    shape, slope = stack.vector(3), stack.matrix(2, 3)
+    shape, slope = scratch.vector(3), scratch.matrix(2, 3)
     kind = light.dtype.type
     rows[:4] = ZERO
     for j in range(DIRECTIONS):
@@ -128,10 +128,10 @@ def _dot(a, b):
 @kernel(error_model="numpy")
 def _optimise(lobe, frame, x, o, h, i, light, floor, weight, prior, n_d, tolerance, rows, one):
     """Levenberg-Marquardt in place on (frame, x), weights held at 0 while they want to be negative. Returns passes."""
-    matrix, gradient = stack.matrix(SIZE, SIZE), stack.vector(SIZE)
-    matrix2, gradient2 = stack.matrix(SIZE, SIZE), stack.vector(SIZE)
-    system, right, step = stack.matrix(SIZE, SIZE), stack.vector(SIZE), stack.vector(SIZE)
-    x2, frame2 = stack.vector(LENGTH), stack.matrix(3, 3)
+    matrix, gradient = scratch.matrix(SIZE, SIZE), scratch.vector(SIZE)
+    matrix2, gradient2 = scratch.matrix(SIZE, SIZE), scratch.vector(SIZE)
+    system, right, step = scratch.matrix(SIZE, SIZE), scratch.vector(SIZE), scratch.vector(SIZE)
+    x2, frame2 = scratch.vector(LENGTH), scratch.matrix(3, 3)
     size = weighted_square(light, weight)
     if not size > 0:
         return 0
@@ -184,7 +184,7 @@ def _optimise(lobe, frame, x, o, h, i, light, floor, weight, prior, n_d, toleran
 @kernel(error_model="numpy")
 def mixed_values(lobe, frame, x, o, h, i, one, g):
     """Radiance per unit irradiance of the mixture, into `g` [N]; `one` [N] is workspace."""
-    shape, slope = stack.vector(3), stack.matrix(2, 3)
+    shape, slope = scratch.vector(3), scratch.matrix(2, 3)
     g[:] = ZERO
     kind = g.dtype.type
     for j in range(DIRECTIONS):
@@ -197,15 +197,15 @@ def mixed_values(lobe, frame, x, o, h, i, one, g):
 
 
 @kernel(error_model="numpy")
-def _pack(frame, reach, h, i, light, floor, use, chosen, room):
-    """The lights in use whose half vector lies within `reach` (tangent of the angle from the normal), [9, n] in `room`."""
+def _pack(frame, reach, h, i, light, floor, use, chosen, workspace):
+    """The lights in use whose half vector lies within `reach` (tangent of the angle from the normal), [9, n] in `workspace`."""
     count = 0
     for k in range(light.size):
         z = h[0][k] * frame[2, 0] + h[1][k] * frame[2, 1] + h[2][k] * frame[2, 2]
         if use[k] > 0 and z > 0 and z * z * (1.0 + reach * reach) > 1.0:
             chosen[count] = k
             count += 1
-    out = stack.folded(room, 9, count)
+    out = scratch.folded(workspace, 9, count)
     for n in range(count):
         k = chosen[n]
         out[0, n], out[1, n], out[2, n] = h[0][k], h[1][k], h[2][k]
@@ -216,22 +216,22 @@ def _pack(frame, reach, h, i, light, floor, use, chosen, room):
 
 @kernel(error_model="numpy")
 def fit_mixed(lobe, frame, x, large, small, angle, rho, o, h, i, light, floor, use, absolute, relative, prior, n_d, tolerance,
-              limit, weight, g, room):  # fmt: skip
+              limit, weight, g, workspace):  # fmt: skip
     """Fit the mixture from one lobe (large, small, angle, rho), in place on (frame, x [3 + DIRECTIONS]).
 
     weight, g [N] are left with the robust weights and the mixture's values. Ends early when the first round does not
     reach `limit`, the cost to beat, or fewer than two lights a parameter show the lobe. Returns (robust cost, passes).
     """
     kind = light.dtype.type
-    near = _pack(frame, (TAIL if lobe == GGX else REACH) * large, h, i, light, floor, use, room.front, room.spare)
+    near = _pack(frame, (TAIL if lobe == GGX else REACH) * large, h, i, light, floor, use, workspace.front, workspace.spare)
     x[0], x[1], x[2] = math.log(large) + 0.15, math.log(small) - 0.3, angle
     for j in range(DIRECTIONS):
         x[3 + j] = rho * (0.5 if j == 0 else 0.5 / (DIRECTIONS - 1))
     n = near.shape[1]
     if n < 2 * SIZE:
         return np.inf, 0
-    spare = room.spare[9 * n :]
-    rows, one = stack.folded(spare, SIZE, n), stack.folded(spare[SIZE * n :], 6, n)
+    spare = workspace.spare[9 * n :]
+    rows, one = scratch.folded(spare, SIZE, n), scratch.folded(spare[SIZE * n :], 6, n)
     robust = spare[(SIZE + 6) * n : (SIZE + 7) * n]
     h2, i2 = (near[0], near[1], near[2]), (near[3], near[4], near[5])
     copy1(near[8], robust)

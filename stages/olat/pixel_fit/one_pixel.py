@@ -89,26 +89,26 @@ def _in_use(weight):
 
 
 @kernel(error_model="numpy")
-def _gather(room, w, area, n_d, solved):
+def _gather(workspace, w, area, n_d, solved):
     """Lights before the surface, packed: their directions, half vectors, samples and whether they are seen."""
     n = 0
-    for k in range(room.diffuse.size):
+    for k in range(workspace.diffuse.size):
         p = n_d[0] * w[0, k] + n_d[1] * w[1, k] + n_d[2] * w[2, k]
-        if (p > 0 or not solved) and room.ok[k] > 0:
-            room.front[n] = k
+        if (p > 0 or not solved) and workspace.ok[k] > 0:
+            workspace.front[n] = k
             n += 1
     for j in range(n):
-        k = room.front[j]
-        room.light[j] = room.specular[k]
-        room.area[j] = area[k]
-        room.incident[0, j], room.incident[1, j], room.incident[2, j] = w[0, k], w[1, k], w[2, k]
-        room.bound[j] = room.floor[k]
-        room.seen[j] = room.use[k] if solved else ONE
+        k = workspace.front[j]
+        workspace.light[j] = workspace.specular[k]
+        workspace.area[j] = area[k]
+        workspace.incident[0, j], workspace.incident[1, j], workspace.incident[2, j] = w[0, k], w[1, k], w[2, k]
+        workspace.bound[j] = workspace.floor[k]
+        workspace.seen[j] = workspace.use[k] if solved else ONE
     return n
 
 
 @kernel(error_model="numpy")
-def fit_pixel(cross, parallel, w, o, area, energy, settings, room, out):
+def fit_pixel(cross, parallel, w, o, area, energy, settings, workspace, out):
     """Fill `out` [WIDTH] for one pixel from its samples cross, parallel [3, N] (N lights at directions w [3, N]).
 
     o [3]: unit, to the camera; area [N]: solid angles (sr); energy [N]: relative irradiance of each light. `out[FLAG]` says how
@@ -122,10 +122,10 @@ def fit_pixel(cross, parallel, w, o, area, energy, settings, room, out):
     if settings.remove and level < np.inf:
         for c in range(3):
             delta = kind(max(np.mean(parallel[c]), 0.0))
-            remove_overexposure(cross[c], level, room.front, delta)
-            remove_overexposure(parallel[c], level, room.front, delta)
+            remove_overexposure(cross[c], level, workspace.front, delta)
+            remove_overexposure(parallel[c], level, workspace.front, delta)
         level = np.inf
-    bad, clipped, top_d, top_s = separate(cross, parallel, energy, settings, kind(level), room)
+    bad, clipped, top_d, top_s = separate(cross, parallel, energy, settings, kind(level), workspace)
     flag = BAD_SAMPLES if bad > BAD_SHARE * count else GOOD
     if not (top_d > 0 or top_s > 0):
         out[FLAG] = SATURATED if clipped * 2 > count else (BLACK if flag == GOOD else flag)
@@ -134,12 +134,12 @@ def fit_pixel(cross, parallel, w, o, area, energy, settings, room, out):
         return 0.0, 0
 
     if settings.gradient:
-        _gradient(room, w, o, area, flag, out)
+        _gradient(workspace, w, o, area, flag, out)
         return 0.0, 0
 
     # diffuse
     mx, my, mz, scale, _, solved = fit_normal(
-        room.diffuse, room.ok, w[0], w[1], w[2], settings.rounds, settings.plain, room.weight, room.work
+        workspace.diffuse, workspace.ok, w[0], w[1], w[2], settings.rounds, settings.plain, workspace.weight, workspace.work
     )
     size = math.sqrt(mx * mx + my * my + mz * mz)
     solved = solved and size > 0
@@ -149,33 +149,33 @@ def fit_pixel(cross, parallel, w, o, area, energy, settings, room, out):
     if solved:
         n_d = (mx / size, my / size, mz / size)
         nx, ny, nz = kind(n_d[0]), kind(n_d[1]), kind(n_d[2])
-        _albedo(room.rgb, w[0], w[1], w[2], nx, ny, nz, room.weight, out[ALBEDO_D:])
+        _albedo(workspace.rgb, w[0], w[1], w[2], nx, ny, nz, workspace.weight, out[ALBEDO_D:])
         for k in range(3):
             out[ALBEDO_D + k] = max(out[ALBEDO_D + k], 0.0)
-        in_use, lit = _in_use(room.weight)
+        in_use, lit = _in_use(workspace.weight)
         if lit < LIT_LIGHTS and flag == GOOD:
             flag = TOO_FEW  # solved, but with nothing to spare
         variance_d = (scale / size) ** 2 * 3.0 / max(in_use, 1.0)
-        zeta = 2 * behind(room.diffuse, room.ok, w[0], w[1], w[2], nx, ny, nz) + NOISE_FLOOR * top_d
-        square_d, data_d = diffuse_maps(room, w, area, n_d, size, zeta, out)
+        zeta = 2 * behind(workspace.diffuse, workspace.ok, w[0], w[1], w[2], nx, ny, nz) + NOISE_FLOOR * top_d
+        square_d, data_d = diffuse_maps(workspace, w, area, n_d, size, zeta, out)
         if settings.printed_maps:
-            printed_maps(room.diffuse, room, w, n_d, zeta, out, False)
+            printed_maps(workspace.diffuse, workspace, w, n_d, zeta, out, False)
     elif flag == GOOD:
         flag = SATURATED if clipped * 2 > count else TOO_FEW
-        x, y, z, found = gradient_direction(room.diffuse, room.ok, w, area)
+        x, y, z, found = gradient_direction(workspace.diffuse, workspace.ok, w, area)
         if found:
             n_d = (x, y, z)
     for k in range(3):
         out[NORMAL_D + k] = n_d[k]
 
     # specular
-    n = _gather(room, w, area, n_d, solved)
+    n = _gather(workspace, w, area, n_d, solved)
     norm, passes, variance_s, square_s, data_s = 0.0, 0, UNKNOWN, 0.0, 0.0
     fitted = False
     n_s = n_d
     if n >= 3:
         fitted, n_s, norm, passes, variance_s, square_s, data_s, lobe_flag = _specular(
-            n, w, o, area, settings, n_d, solved, top_d, room, out
+            n, w, o, area, settings, n_d, solved, top_d, workspace, out
         )
         flag = lobe_flag if flag == GOOD else flag
     elif flag == GOOD:
@@ -189,9 +189,9 @@ def fit_pixel(cross, parallel, w, o, area, energy, settings, room, out):
 
     a, b = 1.0 / variance_d, 1.0 / variance_s
     if settings.fuse_correlation and solved and fitted:
-        lambert(n_d, w, room.scratch)
-        a = correlation(room.scratch, room.diffuse, room.use)
-        b = correlation(room.lobe[:n], room.light[:n], room.seen[:n])
+        lambert(n_d, w, workspace.scratch)
+        a = correlation(workspace.scratch, workspace.diffuse, workspace.use)
+        b = correlation(workspace.lobe[:n], workspace.light[:n], workspace.seen[:n])
     x, y, z = a * n_d[0] + b * n_s[0], a * n_d[1] + b * n_s[1], a * n_d[2] + b * n_s[2]
     length = math.sqrt(x * x + y * y + z * z)
     if length > 0:
@@ -216,29 +216,29 @@ def fit_pixel(cross, parallel, w, o, area, energy, settings, room, out):
 
 
 @kernel(error_model="numpy")
-def _gradient(room, w, o, area, flag, out):
+def _gradient(workspace, w, o, area, flag, out):
     """Ma et al. 2007: normals from the three gradients, albedos from the sums; no lobe, no refinement."""
-    x, y, z, found = gradient_direction(room.diffuse, room.ok, w, area)
+    x, y, z, found = gradient_direction(workspace.diffuse, workspace.ok, w, area)
     n = (x, y, z) if found else (o[0], o[1], o[2])
-    x, y, z, shines = gradient_direction(room.specular, room.ok, w, area)
+    x, y, z, shines = gradient_direction(workspace.specular, workspace.ok, w, area)
     x, y, z = x + o[0], y + o[1], z + o[2]
     size = math.sqrt(x * x + y * y + z * z)
     m = (x / size, y / size, z / size) if shines and size > 1e-6 else n
     for k in range(3):
         out[NORMAL_D + k], out[NORMAL_S + k], out[NORMAL + k] = n[k], m[k], n[k]
-        out[ALBEDO_D + k] = max(total(room.rgb[k], room.ok, area) / math.pi, 0.0)
-    out[ALBEDO_S] = max(total(room.specular, room.ok, area), 0.0)
+        out[ALBEDO_D + k] = max(total(workspace.rgb[k], workspace.ok, area) / math.pi, 0.0)
+    out[ALBEDO_S] = max(total(workspace.specular, workspace.ok, area), 0.0)
     out[FLAG] = flag if found else TOO_FEW
 
 
 @kernel(error_model="numpy")
-def _specular(n, w, o, area, settings, n_d, solved, top_d, room, out):
+def _specular(n, w, o, area, settings, n_d, solved, top_d, workspace, out):
     """Specular part of a pixel: what can be fitted, the fit, its maps. See `fit_pixel`."""
     kind = area.dtype.type
-    light, use, floor, areas = room.light[:n], room.seen[:n], room.bound[:n], room.area[:n]
-    cosine, weight, g = room.cosine[:n], room.work[:n], room.lobe[:n]
-    half = (room.half[0, :n], room.half[1, :n], room.half[2, :n])
-    incident = (room.incident[0, :n], room.incident[1, :n], room.incident[2, :n])
+    light, use, floor, areas = workspace.light[:n], workspace.seen[:n], workspace.bound[:n], workspace.area[:n]
+    cosine, weight, g = workspace.cosine[:n], workspace.work[:n], workspace.lobe[:n]
+    half = (workspace.half[0, :n], workspace.half[1, :n], workspace.half[2, :n])
+    incident = (workspace.incident[0, :n], workspace.incident[1, :n], workspace.incident[2, :n])
     half_vectors(incident[0], incident[1], incident[2], kind(o[0]), kind(o[1]), kind(o[2]), half[0], half[1], half[2], cosine)
     top, whole, squares, clipped, noise = sums(light, use, floor)
     nothing = (False, n_d, 0.0, 0, UNKNOWN, 0.0, 0.0, NO_LOBE)
@@ -273,7 +273,7 @@ def _specular(n, w, o, area, settings, n_d, solved, top_d, room, out):
             weight[j] = use[j]
     else:
         norm, passes, order, held = fit_lobe(settings, o, tied, tie, solved, half, incident, light, floor, use, areas, cosine,
-                                             weight, g, top, noise, frame, shape, rho, equations, room)  # fmt: skip
+                                             weight, g, top, noise, frame, shape, rho, equations, workspace)  # fmt: skip
     rho[0] = linear_albedo(g, light, weight, floor) if order == 1.0 else rho[0]
     large, small, angle = widths(shape)
     if not (math.isfinite(large) and math.isfinite(small) and math.isfinite(rho[0]) and math.isfinite(frame[2, 0])):
@@ -296,9 +296,9 @@ def _specular(n, w, o, area, settings, n_d, solved, top_d, room, out):
             out[TANGENT + k] = math.cos(angle) * frame[0, k] + math.sin(angle) * frame[1, k]
     n_s = (frame[2, 0], frame[2, 1], frame[2, 2])
     zeta = 2 * noise + 0.01 * top
-    square, data = specular_maps(room, n, g, rho[0], zeta, area, w, n_s, out)
+    square, data = specular_maps(workspace, n, g, rho[0], zeta, area, w, n_s, out)
     if settings.printed_maps:
-        printed_maps(room.specular, room, w, n_s, zeta, out, True)
+        printed_maps(workspace.specular, workspace, w, n_s, zeta, out, True)
     in_lobe = max(whole * whole / squares, 1.0)
     variance = (square / max(data, 1e-30) + 1e-6) * large * small / in_lobe + (1.0 if flag != GOOD else 0.0)
     return True, n_s, norm, passes, variance, square, data, flag

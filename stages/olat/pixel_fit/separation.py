@@ -67,7 +67,7 @@ def _marks(fine, floor, ok):
 
 
 @kernel(error_model="numpy")
-def separate(cross, parallel, energy, settings, level, room):
+def separate(cross, parallel, energy, settings, level, workspace):
     """I_d = 2 I_x and I_s = f (I_p - I_x) per unit of irradiance; marks samples that are not finite or clipped.
 
     cross, parallel [3, N]. Returns (samples that are bad, clipped, brightest diffuse, brightest specular). Many short loops,
@@ -77,13 +77,15 @@ def separate(cross, parallel, energy, settings, level, room):
     scale_d = kind(2.0 * math.pi / settings.irradiance)
     scale_s = kind(settings.specular_factor / (3.0 * settings.irradiance))
     per_cross = kind(settings.specular_factor / (2.0 * math.pi))
-    fine = room.scratch
+    fine = workspace.scratch
     bad = _finite(cross[0], cross[1], cross[2], parallel[0], parallel[1], parallel[2], fine)
-    _clipped(cross[0], cross[1], cross[2], level, room.ok)
-    _clipped(parallel[0], parallel[1], parallel[2], level, room.floor)
+    _clipped(cross[0], cross[1], cross[2], level, workspace.ok)
+    _clipped(parallel[0], parallel[1], parallel[2], level, workspace.floor)
     for c in range(3):
-        _scaled(cross[c], fine, energy, scale_d, room.rgb[c])
-    top_d = _mean(room.rgb[0], room.rgb[1], room.rgb[2], kind(1.0 / 3.0), room.diffuse)
-    top_s = _difference(parallel[0], parallel[1], parallel[2], room.diffuse, fine, energy, scale_s, per_cross, room.specular)
-    clipped = _marks(fine, room.floor, room.ok)
+        _scaled(cross[c], fine, energy, scale_d, workspace.rgb[c])
+    top_d = _mean(workspace.rgb[0], workspace.rgb[1], workspace.rgb[2], kind(1.0 / 3.0), workspace.diffuse)
+    top_s = _difference(
+        parallel[0], parallel[1], parallel[2], workspace.diffuse, fine, energy, scale_s, per_cross, workspace.specular
+    )
+    clipped = _marks(fine, workspace.floor, workspace.ok)
     return int(bad), int(clipped), top_d, top_s

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from pipeline.kernels import scratch as stack
+from pipeline.kernels import scratch
 from pipeline.kernels.compiling import kernel
 from pipeline.kernels.numerics import FAST, ONE, ZERO, cholesky_solve, copy1, copy2
 from pipeline.rig.lobes import normal_equations
@@ -170,10 +170,10 @@ def optimise(lobe, frame, shape, rho, o, h, i, light, floor, weight, isotropic, 
     weighted square residual) that holds n to `n_d`; matrix [6, 6]: left with the normal equations at the end, without B and
     with C's place taken by rho's where isotropic. Returns (cost over the data's square norm, gradient norm, passes).
     """
-    gradient = stack.vector(6)
-    matrix2, gradient2 = stack.matrix(6, 6), stack.vector(6)
-    system, step = stack.matrix(6, 6), stack.vector(6)
-    frame2, shape2 = stack.matrix(3, 3), stack.vector(3)
+    gradient = scratch.vector(6)
+    matrix2, gradient2 = scratch.matrix(6, 6), scratch.vector(6)
+    system, step = scratch.matrix(6, 6), scratch.vector(6)
+    frame2, shape2 = scratch.matrix(3, 3), scratch.vector(3)
     size = weighted_square(light, weight)
     matrix[:] = 0.0
     if not size > 0:

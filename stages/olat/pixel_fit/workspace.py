@@ -11,7 +11,7 @@ from pipeline.kernels.scratch import folded
 from stages.olat.pixel_fit.fit_options import ROWS
 
 
-class Room(NamedTuple):
+class Workspace(NamedTuple):
     """Workspace of one thread for pixels with N lights."""
 
     rgb: np.ndarray  # [3, N] I_d in albedo units
@@ -42,7 +42,7 @@ def make_room(n, buffer, front):
     rgb, one = folded(buffer, 3, n), folded(buffer[3 * n :], 14, n)
     incident, half = folded(buffer[17 * n :], 3, n), folded(buffer[20 * n :], 3, n)
     trial, spare = folded(buffer[23 * n :], 2, n), buffer[25 * n : ROWS * n]
-    return Room(
+    return Workspace(
         rgb, one[0], one[1], one[2], one[3], one[4], one[5], one[6], one[7], front,
         one[8], one[9], one[10], one[11], one[12], one[13], incident, half, trial, spare,
     )  # fmt: skip

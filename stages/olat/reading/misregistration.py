@@ -19,7 +19,7 @@ CLEARLY = 0.6  # of what no shift leaves unexplained: a shift must leave less
 SIDE = 960  # pixels of the longer side at which the shift is measured
 
 
-class Drift:
+class Misregistration:
     """Collects the mean image of each pass, band by band, at no more than `SIDE` pixels."""
 
     def __init__(self, width: int, height: int, every: int = EVERY) -> None:
@@ -126,8 +126,8 @@ def measure(
     """(right, down) shift of the parallel pass from a few lights of each. Raises UserError."""
     step = max(1, len(cross) // ALIGN_LIGHTS)
     few = cross[::step], parallel[::step]
-    drift = Drift(mask.shape[1], mask.shape[0], 1)
+    found = Misregistration(mask.shape[1], mask.shape[0], 1)
     bands = bands_of(mask, len(few[0]), band_mb, 2 if half else 4)
     for samples in read_bands(*few, bands, (mask.shape[1], mask.shape[0]), half):
-        drift.add(samples)
-    return drift.shift()
+        found.add(samples)
+    return found.shift()

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from pipeline.engine.stage import StageRun
 from stages.olat.reading.frame_reader import READERS, Samples, ahead, read_band
-from stages.olat.reading.misregistration import Drift, measure
+from stages.olat.reading.misregistration import Misregistration, measure
 from stages.olat.reading.rig_cameras import CameraJob, camera_jobs, middle_chunk
 from stages.olat.reading.scanline_bands import Band
 
@@ -21,13 +21,13 @@ SWITCH_S = 5e-4  # how long a reader waits for the interpreter while modules loa
 class Piece:
     """A band of a camera, or pixels of it to choose the lobe on.
 
-    shift: of the parallel pass (px right, down), undone; drift: what is left of it, in all bands so far.
+    shift: of the parallel pass (px right, down), undone; misregistration: what is left of it, in all bands so far.
     """
 
     job: CameraJob
     samples: Samples
     shift: tuple[int, int]
-    drift: Drift
+    misregistration: Misregistration
     pilot: bool = False
 
 
@@ -62,16 +62,16 @@ def _pieces(stage: StageRun, jobs: list[CameraJob], pilot: bool) -> Iterator[Pie
         for job in jobs:
             whole = len(job.bands) == 1  # then its shift is measured on what is read anyway
             shift = _measured(job, stage.parameters.band_mb) if align and not whole else (0, 0)
-            drift = Drift(job.camera.width, job.camera.height)
+            misregistration = Misregistration(job.camera.width, job.camera.height)
             if pilot and job is jobs[0] and not whole:
-                yield Piece(job, _band(pool, job, middle_chunk(job), shift), shift, drift, pilot=True)
+                yield Piece(job, _band(pool, job, middle_chunk(job), shift), shift, misregistration, pilot=True)
             for band in job.bands:
                 samples = _band(pool, job, band, shift)
-                drift.add(samples)
-                if align and whole and any(shift := _rounded(drift.shift())):
+                misregistration.add(samples)
+                if align and whole and any(shift := _rounded(misregistration.shift())):
                     samples = _band(pool, job, band, shift)
-                    drift.add(samples)
-                yield Piece(job, samples, shift, drift)
+                    misregistration.add(samples)
+                yield Piece(job, samples, shift, misregistration)
 
 
 def _band(pool: ThreadPoolExecutor, job: CameraJob, band: Band, shift: tuple[int, int]) -> Samples:

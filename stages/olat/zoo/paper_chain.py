@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.capture.model import LightTable
-from stages.olat.pixel_fit.fit_options import Settings
+from stages.olat.pixel_fit.fit_options import FitOptions
 from stages.olat.pixel_fit.many_pixels import half_table
 from stages.olat.pixel_fit.result_layout import columns
 from stages.olat.zoo.solvers import applies, scaled, solve
@@ -16,7 +16,7 @@ SIGMA_START, SIGMA_RANGE = 0.3, (1e-3, 10.0)
 
 
 def solve_band(
-    solver: str, cross: NDArray, parallel: NDArray, view: NDArray, rig: LightTable, settings: Settings, rows: NDArray
+    solver: str, cross: NDArray, parallel: NDArray, view: NDArray, rig: LightTable, settings: FitOptions, rows: NDArray
 ) -> None:
     """Replace normals, albedos and widths in the closed chain's `rows` [P, WIDTH] by the solver's, in place.
 

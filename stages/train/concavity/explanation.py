@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -21,8 +21,7 @@ TABLE = 128  # texels along a side of the direction tables: a texel is a degree
 COSINES = 256
 
 
-@dataclass(frozen=True)
-class Shading:
+class Shading(NamedTuple):
     """Lookup tables of the split-sum shading for one material: irradiance and mirrored light by direction, octahedral maps
     [TABLE, TABLE, 3];
     by cosine [K, 4]: body transmission, its polarisation, mirror albedo, its polarisation (both over sin^2)."""
@@ -34,7 +33,10 @@ class Shading:
 
 @torch.no_grad()
 def shading_tables(splats: Splats, light: LightField, fresnel: str) -> Shading:
-    """Tables for the median material; the residuals that matter here are far above what its variation makes."""
+    """Tables for the splats' median material under a light; `fresnel` is "exact" or "schlick".
+
+    The residuals that matter here are far above what the material's variation makes.
+    """
     device = splats.means.device
     roughness, ior = splats.roughness.median(), splats.ior.median()
     directions = torch.as_tensor(octahedral_directions(TABLE).reshape(-1, 3), device=device)
@@ -56,13 +58,9 @@ def unexplained(seen: Observations, albedo: np.ndarray, shading: Shading) -> np.
 
     albedo [P, 3]: what to fall back on where nothing is lit.
     """
-    count = len(seen.count)
+    count = len(seen.views)
     best = np.full(count, np.inf, np.float32)
-    run_on_all_cores(
-        explain, seen.count, seen.values, seen.slope, seen.towards, seen.frame_x, seen.frame_y, seen.mix, seen.own,
-        sphere_directions(NORMALS), albedo.astype(np.float32),
-        shading.irradiance, shading.mirrored, shading.angular, best,
-    )  # fmt: skip
+    run_on_all_cores(explain, seen, shading, sphere_directions(NORMALS), albedo.astype(np.float32), best)
     return best
 
 

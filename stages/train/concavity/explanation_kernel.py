@@ -7,6 +7,7 @@ closed form, and the normal is tried out: a grid of directions, then three round
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -129,67 +130,121 @@ def _residual(count, values, slope, prior, body, gloss, weight, lost, albedo, su
     return total / max(whole, np.float32(1e-6))  # every view wholly blocked: nothing is known, and 0 / 0 must not say so
 
 
+class _Point(NamedTuple):
+    """What V views saw of one point, as in `Observations`; values and slope turned to [C, V]; trust [V] in each view."""
+
+    views: int
+    values: np.ndarray
+    slope: np.ndarray
+    towards: np.ndarray
+    axis_x: np.ndarray
+    axis_y: np.ndarray
+    mix: np.ndarray
+    own: np.ndarray
+    trust: np.ndarray
+    albedo: np.ndarray  # [3] what to fall back on
+
+
+class _Workspace(NamedTuple):
+    """Scratch of one thread: body and gloss [C, V], weight and sums [V], albedo [3]."""
+
+    body: np.ndarray
+    gloss: np.ndarray
+    weight: np.ndarray
+    sums: np.ndarray
+    albedo: np.ndarray
+
+
 @kernel(nogil=True, fastmath=True, error_model="numpy")
-def explain(
-    counters, counts, values, slope, towards, axis_x, axis_y, mix, own, normals, prior, irradiance, mirrored, angular, best
-):
-    """Fill best [P] with each point's least residual; arrays as in `Observations`, `Shading`."""
-    most, channels = values.shape[1], values.shape[2]
-    body, gloss = np.empty((channels, most), np.float32), np.empty((channels, most), np.float32)
-    seen, steep = np.empty((channels, most), np.float32), np.empty((channels, most), np.float32)
-    weight, trust, sums = np.empty(most, np.float32), np.empty(most, np.float32), np.empty(most, np.float32)
-    albedo = np.empty(3, np.float32)
+def _best_of(normals, point, light, work):
+    """Least residual over the normals [M, 3] that enough of the views face, and which it is; infinity and -1 for none."""
+    count, values, slope, v, fx, fy, mix, own, trust, prior = point  # taken apart once: a field's every use counts references
+    irradiance, mirrored, angular = light
+    body, gloss, weight, sums, albedo = work
+    least, chosen = np.float32(np.inf), -1
+    for m in range(len(normals)):
+        nx, ny, nz = normals[m, 0], normals[m, 1], normals[m, 2]
+        facing = 0
+        for k in range(count):
+            facing += nx * v[k, 0] + ny * v[k, 1] + nz * v[k, 2] > np.float32(LEAST_COSINE)
+        if facing < FACING_SHARE * count:
+            continue
+        lost = _predict(
+            nx, ny, nz, count, v, fx, fy, mix, own, trust, irradiance, mirrored, angular, body, gloss, weight
+        )  # fmt: skip
+        r = _residual(count, values, slope, prior, body, gloss, weight, lost, albedo, sums)
+        if r < least:
+            least, chosen = r, m
+    return least, chosen
+
+
+@kernel(nogil=True, fastmath=True, error_model="numpy")
+def _refined(nx, ny, nz, least, point, light, work):
+    """Least residual after three rounds of six ever smaller steps about the normal."""
+    count, values, slope, v, fx, fy, mix, own, trust, prior = point  # taken apart once: a field's every use counts references
+    irradiance, mirrored, angular = light
+    body, gloss, weight, sums, albedo = work
+    for level in range(3):
+        step = np.float32(0.1 / 2**level)
+        if abs(nx) < np.float32(0.6):
+            ux, uy, uz = np.float32(0), nz, -ny
+        else:
+            ux, uy, uz = -nz, np.float32(0), nx
+        length = np.float32(1 / math.sqrt(ux * ux + uy * uy + uz * uz))
+        ux, uy, uz = ux * length, uy * length, uz * length
+        wx, wy, wz = ny * uz - nz * uy, nz * ux - nx * uz, nx * uy - ny * ux
+        bx, by, bz = nx, ny, nz
+        for k in range(6):
+            a, b = step * np.float32(math.cos(k * math.pi / 3)), step * np.float32(math.sin(k * math.pi / 3))
+            qx, qy, qz = nx + a * ux + b * wx, ny + a * uy + b * wy, nz + a * uz + b * wz
+            length = np.float32(1 / math.sqrt(qx * qx + qy * qy + qz * qz))
+            qx, qy, qz = qx * length, qy * length, qz * length
+            lost = _predict(
+                qx, qy, qz, count, v, fx, fy, mix, own, trust, irradiance, mirrored, angular, body, gloss, weight
+            )  # fmt: skip
+            r = _residual(count, values, slope, prior, body, gloss, weight, lost, albedo, sums)
+            if r < least:
+                least = r
+                bx, by, bz = qx, qy, qz
+        nx, ny, nz = bx, by, bz
+    return least
+
+
+@kernel(nogil=True, fastmath=True, error_model="numpy")
+def explain(counters, seen, light, normals, prior, best):
+    """Each of P points' least residual over normals and albedos, as one thread's share of the tickets.
+
+    Args:
+        counters: tickets, int64. [2]
+        seen: what the views saw, `samples.Observations`.
+        light: tables, `explanation.Shading`.
+        normals: directions that are tried first. [M, 3]
+        prior: albedo to fall back on. [P, 3]
+        best: filled; what no view sees keeps its value. [P]
+    """
+    most, channels = seen.values.shape[1], seen.values.shape[2]
+    work = _Workspace(
+        np.empty((channels, most), np.float32), np.empty((channels, most), np.float32),
+        np.empty(most, np.float32), np.empty(most, np.float32), np.empty(3, np.float32),
+    )  # fmt: skip
+    values, slope = np.empty((channels, most), np.float32), np.empty((channels, most), np.float32)
+    trust = np.empty(most, np.float32)
     while True:
         first = take_ticket(counters, 0) * CHUNK
-        if first >= len(counts):
+        if first >= len(best):
             return
-        for p in range(first, min(first + CHUNK, len(counts))):
-            count = counts[p]
+        for p in range(first, min(first + CHUNK, len(best))):
+            count, own = seen.views[p], seen.own[p]
             if count == 0:
                 continue
-            v, fx, fy, mx, ow, guess = towards[p], axis_x[p], axis_y[p], mix[p], own[p], prior[p]
             for k in range(count):
-                trust[k] = ow[k, 9] ** UNBLOCKED
+                trust[k] = own[k, 9] ** UNBLOCKED
                 for t in range(channels):
-                    seen[t, k], steep[t, k] = values[p, k, t], slope[p, k, t % 3]
-            least, chosen = np.float32(np.inf), -1
-            for m in range(len(normals)):
-                nx, ny, nz = normals[m, 0], normals[m, 1], normals[m, 2]
-                facing = 0
-                for k in range(count):
-                    facing += nx * v[k, 0] + ny * v[k, 1] + nz * v[k, 2] > np.float32(LEAST_COSINE)
-                if facing < FACING_SHARE * count:
-                    continue
-                lost = _predict(
-                    nx, ny, nz, count, v, fx, fy, mx, ow, trust, irradiance, mirrored, angular, body, gloss, weight
-                )  # fmt: skip
-                r = _residual(count, seen, steep, guess, body, gloss, weight, lost, albedo, sums)
-                if r < least:
-                    least, chosen = r, m
-            if chosen < 0:
-                continue
-            nx, ny, nz = normals[chosen, 0], normals[chosen, 1], normals[chosen, 2]
-            for level in range(3):
-                step = np.float32(0.1 / 2**level)
-                if abs(nx) < np.float32(0.6):
-                    ux, uy, uz = np.float32(0), nz, -ny
-                else:
-                    ux, uy, uz = -nz, np.float32(0), nx
-                length = np.float32(1 / math.sqrt(ux * ux + uy * uy + uz * uz))
-                ux, uy, uz = ux * length, uy * length, uz * length
-                wx, wy, wz = ny * uz - nz * uy, nz * ux - nx * uz, nx * uy - ny * ux
-                bx, by, bz = nx, ny, nz
-                for k in range(6):
-                    a, b = step * np.float32(math.cos(k * math.pi / 3)), step * np.float32(math.sin(k * math.pi / 3))
-                    qx, qy, qz = nx + a * ux + b * wx, ny + a * uy + b * wy, nz + a * uz + b * wz
-                    length = np.float32(1 / math.sqrt(qx * qx + qy * qy + qz * qz))
-                    qx, qy, qz = qx * length, qy * length, qz * length
-                    lost = _predict(
-                        qx, qy, qz, count, v, fx, fy, mx, ow, trust, irradiance, mirrored, angular, body, gloss, weight
-                    )  # fmt: skip
-                    r = _residual(count, seen, steep, guess, body, gloss, weight, lost, albedo, sums)
-                    if r < least:
-                        least = r
-                        bx, by, bz = qx, qy, qz
-                nx, ny, nz = bx, by, bz
-            best[p] = least
+                    values[t, k], slope[t, k] = seen.values[p, k, t], seen.slope[p, k, t % 3]
+            point = _Point(
+                count, values, slope, seen.towards[p], seen.frame_x[p], seen.frame_y[p], seen.mix[p], own, trust, prior[p]
+            )
+            least, chosen = _best_of(normals, point, light, work)
+            if chosen >= 0:
+                n = normals[chosen]
+                best[p] = _refined(n[0], n[1], n[2], least, point, light, work)

@@ -18,12 +18,12 @@ COVERED = 0.8  # of the spacing: a new splat nearer to an old one than this woul
 
 @torch.no_grad()
 def refit(
-    model: SplatModel, adam: SurfaceAdam, field: DepthField, hollow: HullMesh, spacing: float, room: int, seed: int
+    model: SplatModel, adam: SurfaceAdam, field: DepthField, hollow: HullMesh, spacing: float, most: int, seed: int
 ) -> int | None:
     """Replace, in place, the splats over hollows by samples of the hollowed surface; returns how many are new,
     or None where hardly any splat would stay: nothing is changed then.
 
-    spacing: wanted distance between neighbours; room: upper bound of the model's size afterwards. New splats take albedo
+    spacing: wanted distance between neighbours; most: upper bound of the model's size afterwards. New splats take albedo
     and material from the nearest that stays; afterwards every splat's anchor is where it is now.
     """
     device = model["position"].device
@@ -39,7 +39,7 @@ def refit(
     distance, nearest = tree.query(samples.points)
     same_side = (normals[stays][nearest] * samples.normals).sum(-1) > 0
     bare = np.flatnonzero((distance > COVERED * spacing) | (~same_side & (distance > 0.3 * spacing)))
-    left = room - len(rows)
+    left = most - len(rows)
     if len(bare) > left:
         bare = np.random.default_rng(seed).permutation(bare)[: max(left, 0)]
     model.select(rows)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy import ndimage
@@ -11,9 +12,9 @@ from scipy import ndimage
 from pipeline.geometry.cameras import Camera
 from pipeline.shading import Occlusion
 
-from ..views.data import View
 from ..views.losses import GAMMA, TOE
 from ..views.polarisers import PolariserBank
+from ..views.view import View
 
 BLUR = 0.8  # pixels: takes the single pixel's noise away and keeps what a pixel's shift changes
 MOST_VIEWS = 48  # evenly chosen from more: every further view costs time and says little
@@ -36,15 +37,14 @@ class ViewImage:
     own: np.ndarray
 
 
-@dataclass(frozen=True)
-class Observations:
-    """What up to V views saw of P points: count [P] of views; the first `count` rows of each hold.
+class Observations(NamedTuple):
+    """What up to V views saw of P points: views [P] of each; that many rows of each hold.
 
     values [P, V, C]; slope [P, V, 3] of the display encoding there; towards, frame_x, frame_y [P, V, 3]; mix [P, V, 2];
     own [P, V, 10].
     """
 
-    count: np.ndarray
+    views: np.ndarray
     values: np.ndarray
     slope: np.ndarray
     towards: np.ndarray

@@ -60,7 +60,12 @@ def surface_depths(
 ) -> SurfaceDepths:
     """Sweep samples of the mesh inwards.
 
-    splat_points, splat_albedo [N, 3]: the model so far, for the albedo to fall back on.
+    Args:
+        mesh: the surface so far, training frame.
+        images: the training views as lookups.
+        shading: light and material so far.
+        splat_points, splat_albedo: the model so far, for the albedo to fall back on. [N, 3]
+        seed: of the sampling.
     """
     samples = sample_evenly(mesh, SAMPLES, np.random.default_rng(seed))
     albedo = splat_albedo[cKDTree(splat_points).query(samples.points)[1]]
@@ -70,7 +75,7 @@ def surface_depths(
     for depth in depths:
         seen = sight.observe(samples.points, samples.normals, depth)
         residual.append(unexplained(seen, albedo, shading))
-        views.append(seen.count)
+        views.append(seen.views)
     found = sample_depths(samples.points, samples.normals, depths, np.array(residual), np.array(views))
     return SurfaceDepths(samples.points, samples.normals, without_doubtful(samples.points, found, samples.spacing))
 

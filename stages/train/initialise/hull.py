@@ -15,7 +15,7 @@ from pipeline.geometry.normals import vertex_normals
 
 from .points import PointSurface
 
-JUDGES = 0.5  # share of the views that must have a point in frame: a hull seen by less is the views' blind spot
+MIN_VIEW_FRACTION = 0.5  # points outside the frame of more than this share of the views are treated as empty
 SMALLEST_PART = 0.02  # parts with less than this share of the largest part's volume are carving debris
 
 
@@ -101,7 +101,7 @@ def occupancy(
         length[seen] = value * (z[seen] / (0.5 * (s.camera.fx + s.camera.fy))).astype(np.float32)
         worst = np.sort(np.concatenate([worst, length[None]]), 0)[: outvoted + 1] if outvoted else np.minimum(worst, length)
     far = max(float(np.abs(worst[np.isfinite(worst)]).max()) if np.isfinite(worst).any() else 1.0, 1e-30)
-    judged = judges >= max(2, JUDGES * len(silhouettes))
+    judged = judges >= max(2, MIN_VIEW_FRACTION * len(silhouettes))
     return np.where(judged & np.isfinite(worst[-1]), worst[-1], -far).astype(np.float32)
 
 
@@ -124,8 +124,6 @@ def visual_hull(
     that cuts the hull down, but for what the silhouettes need if they are the object's (`within.fades`). Raises UserError
     where the masks have no common object.
     """
-    from skimage.measure import marching_cubes
-
     distances = [signed_distance(s.mask, offset) for s in silhouettes]
     centre, half = bounds(silhouettes)
     half *= 1.3
@@ -161,11 +159,17 @@ def visual_hull(
     volume = without_debris(np.pad(volume, 1, constant_values=-spacing))
     if not (volume > 0).any():
         raise UserError("masks", "the common object is too thin to see", "check the masks and the cameras")
+    return _surface(volume, low, spacing)
+
+
+def _surface(volume: np.ndarray, low: np.ndarray, spacing: float) -> tuple[HullMesh, np.ndarray, float]:
+    """Smoothed zero level of a volume whose second voxel is at `low`, its bounding box's centre [3] and largest half extent."""
+    from skimage.measure import marching_cubes
+
     vertices, triangles, *_ = marching_cubes(volume, 0.0, spacing=(spacing,) * 3)
-    vertices = vertices + low - spacing
-    mesh = smoothed(vertices, triangles[:, ::-1].astype(np.int64), rounds=6)
-    extent = mesh.vertices.max(0) - mesh.vertices.min(0)
-    return mesh, 0.5 * (mesh.vertices.max(0) + mesh.vertices.min(0)), float(0.5 * extent.max())
+    mesh = smoothed(vertices + low - spacing, triangles[:, ::-1].astype(np.int64), rounds=6)
+    top, bottom = mesh.vertices.max(0), mesh.vertices.min(0)
+    return mesh, 0.5 * (top + bottom), float(0.5 * (top - bottom).max())
 
 
 def needed(silhouettes: Sequence[Silhouette], points: np.ndarray, hull: np.ndarray, cut: np.ndarray) -> np.ndarray:

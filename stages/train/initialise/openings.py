@@ -39,7 +39,7 @@ class OpeningView:
     """A view's camera and how far each of its pixels looks into an opening: 0 not at all .. 1 wholly [H, W]."""
 
     camera: Camera
-    openness: NDArray[np.float64]
+    hole_coverage: NDArray[np.float64]
 
 
 def cut_openings(mesh: HullMesh, views: Sequence[OpeningView], pixel: float, solid: Field | None = None) -> HullMesh | None:
@@ -104,7 +104,7 @@ class _Rays:
     def __init__(self, mesh: HullMesh, views: Sequence[OpeningView], pixel: float) -> None:
         self.solid = RayMesh(mesh.vertices, mesh.triangles)
         self.views = views
-        self.distances = [signed_distance(v.openness, blur=0.35) for v in views]
+        self.distances = [signed_distance(v.hole_coverage, blur=0.35) for v in views]
         self.pixel = pixel
 
     def inside(self, points: np.ndarray) -> np.ndarray:

@@ -15,7 +15,7 @@ LEAST_TRANSMITTANCE = 1e-30
 """With layered blending, a splat that would bring the transmittance below this ends the pixel: float32 ends at 1e-38."""
 
 MAX_LAYERS = 4
-"""With layered blending, layers of a pixel that are told apart; what lies behind the last but one is one layer."""
+"""With layered blending, layers of a pixel that are kept apart; what lies behind the last but one is one layer."""
 
 CUTOFF_SIGMA = 3.0
 """A splat ends at 3 sigma, per pixel, in its own plane: exp(-4.5) = 0.011 of its peak. gsplat and 2DGS cut whole tiles

@@ -1,4 +1,4 @@
-"""Layered blending: the splats that a pixel's ray meets close behind each other are one surface and hide each other not at all.
+"""Layered blending: splats within `layer` of the first hit are averaged as one surface instead of occluding each other.
 
 Front to back, the nearest splat of a surface hides the others. On a curved surface those are the ones that lean towards the
 camera, so every blended normal leans that way too. Here a surface shows its splats' mean, weighted by alpha, and hides what

@@ -14,10 +14,10 @@ import torch
 from .optimiser import adam_update
 
 RATE = 1e-2  # log units a step at most: a start wrong by a factor of two is mended within a hundred steps
-MOST_ALBEDO = 0.9  # nearer to 1 a sigmoid hardly moves: its share of the exchange stops growing there
+MOST_ALBEDO = 0.9  # nearer to 1 a sigmoid hardly moves: its share of the step stops growing there
 
 
-class Exchange:
+class ScaleStep:
     """Adam on g [3], where log environment += g and log albedo -= g. `moments` [2, 3]; `steps` so far."""
 
     def __init__(self) -> None:

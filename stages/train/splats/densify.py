@@ -38,6 +38,10 @@ class Activity:
         self.drawn[rows] += (weight > 0).to(self.drawn.dtype)
         self.weight[rows] = torch.maximum(self.weight[rows], weight)
 
+    def rows(self, rows: torch.Tensor) -> Activity:
+        """That of these splats alone."""
+        return Activity(self.gradient[rows], self.drawn[rows], self.weight[rows], self.faced[rows])
+
 
 def kept_rows(opacities: torch.Tensor, activity: Activity, backs: bool = False) -> torch.Tensor:
     """Indices of the splats that show: opaque enough, and in front somewhere.
@@ -50,21 +54,21 @@ def kept_rows(opacities: torch.Tensor, activity: Activity, backs: bool = False) 
     return torch.nonzero((opacities > LEAST_OPACITY) & shows)[:, 0]
 
 
-def edges_to_split(graph: SurfaceGraph, activity: Activity, room: int) -> torch.Tensor:
-    """Up to `room` edges [2, M] about which the images pull hardest, none sharing a splat."""
+def edges_to_split(graph: SurfaceGraph, activity: Activity, most: int) -> torch.Tensor:
+    """Up to `most` edges [2, M] about which the images pull hardest, none sharing a splat."""
     count = len(activity.gradient)
-    room = min(room, int(GROWTH * count))
-    if room <= 0 or graph.edges.shape[1] == 0:
+    most = min(most, int(GROWTH * count))
+    if most <= 0 or graph.edges.shape[1] == 0:
         return graph.edges[:, :0]
     pull = activity.gradient / activity.drawn.clamp_min(1)
     i, j = graph.edges
     score = torch.minimum(pull[i], pull[j])
-    order = torch.argsort(score, descending=True, stable=True)[: 8 * room].cpu().tolist()
+    order = torch.argsort(score, descending=True, stable=True)[: 8 * most].cpu().tolist()
     first, second = i.cpu().tolist(), j.cpu().tolist()
     used: set[int] = set()
     chosen: list[int] = []
     for e in order:
-        if len(chosen) == room:
+        if len(chosen) == most:
             break
         if first[e] not in used and second[e] not in used:
             used.update((first[e], second[e]))

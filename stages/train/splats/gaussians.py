@@ -9,7 +9,7 @@ import torch
 
 from ..initialise.sampling import SurfaceSamples
 
-ROUGHNESS_FLOOR = 0.08  # r_min of physics.md 3: sharper lobes than this alias in the prefiltered cube
+ROUGHNESS_FLOOR = 0.08  # r_min, docs/physics.md: sharper lobes than this alias in the prefiltered cube
 IOR_LOW = 1.3  # eta = 1.3 + sigmoid (PhyGaP 9.1, with its slip mended)
 PER_SPLAT = ("anchor", "position", "normal", "log_scale", "opacity", "albedo", "roughness_offset", "ior_offset")
 
@@ -48,7 +48,10 @@ class SplatModel:
 
     @classmethod
     def from_samples(cls, samples: SurfaceSamples, albedo: float, roughness: float, ior: float, device: str) -> SplatModel:
-        """Discs on the sampled surface: scale 0.75 of the spacing (the coverage at a gap's middle is then above 0.98)."""
+        """Discs on the sampled surface, half a spacing in sigma, all of one material.
+
+        samples: positions, normals and spacing; albedo, roughness, ior: start values; device: of the tensors.
+        """
         normal = torch.as_tensor(samples.normals, dtype=torch.float32)
         count = len(normal)
         tensors = {

@@ -18,7 +18,8 @@ def adam_update(
 ) -> torch.Tensor:
     """Adam's step for a unit learning rate (Kingma and Ba 2015, Alg. 1); updates both moments in place.
 
-    `steps` counts this one. `together`: rows share one step length, which keeps the direction of vectors.
+    first, second: moments, shaped like the gradient. `steps` counts this one. `together`: rows share one step length,
+    which keeps the direction of vectors.
     """
     first.lerp_(gradient, 1 - BETA1)
     second.mul_(BETA2).addcmul_(gradient, gradient, value=1 - BETA2)
@@ -29,7 +30,7 @@ def adam_update(
 
 
 @dataclass(frozen=True)
-class Group:
+class StepRule:
     """How one tensor is stepped: base learning rate, and diffusion rounds of its update over the surface graph."""
 
     rate: float
@@ -44,8 +45,8 @@ class SurfaceAdam:
     gradient vanishes.
     """
 
-    def __init__(self, groups: dict[str, Group]) -> None:
-        self.groups = groups
+    def __init__(self, rules: dict[str, StepRule]) -> None:
+        self.rules = rules
         self.first: dict[str, torch.Tensor] = {}
         self.second: dict[str, torch.Tensor] = {}
         self.steps: dict[str, int] = {}
@@ -58,11 +59,18 @@ class SurfaceAdam:
         graph: SurfaceGraph | None,
         diffusion_scale: float = 1.0,
     ) -> None:
-        """One update of every tensor that has a gradient; gradients are cleared. A non-finite gradient entry counts as 0."""
+        """One update of every tensor that has a gradient, in place; gradients are cleared.
+
+        Args:
+            tensors: by name of its rule; a non-finite gradient entry counts as 0.
+            rate_scale: factor of each rule's rate by name, "" for the others.
+            graph: over which updates of per-splat tensors are diffused; None: they are not.
+            diffusion_scale: factor of the rules' diffusion rounds.
+        """
         for name, tensor in tensors.items():
-            if tensor.grad is None or name not in self.groups:
+            if tensor.grad is None or name not in self.rules:
                 continue
-            group = self.groups[name]
+            rule = self.rules[name]
             gradient = torch.nan_to_num(tensor.grad, nan=0.0, posinf=0.0, neginf=0.0)
             tensor.grad = None
             if name not in self.first or self.first[name].shape != tensor.shape:
@@ -70,13 +78,13 @@ class SurfaceAdam:
                 self.second[name] = torch.zeros_like(tensor)
                 self.steps[name] = 0
             self.steps[name] += 1
-            together = bool(group.diffusion) and gradient.ndim > 1
+            together = bool(rule.diffusion) and gradient.ndim > 1
             update = adam_update(self.first[name], self.second[name], gradient, self.steps[name], together)
-            rounds = round(group.diffusion * diffusion_scale)
+            rounds = round(rule.diffusion * diffusion_scale)
             if rounds and graph is not None and update.shape[0] == len(graph):
                 flat = update.reshape(len(update), -1)
                 update = graph.diffuse(flat, rounds).reshape(update.shape)
-            tensor.sub_(group.rate * rate_scale.get(name, rate_scale[""]) * update)
+            tensor.sub_(rule.rate * rate_scale.get(name, rate_scale[""]) * update)
 
     def select(self, names: tuple[str, ...], rows: torch.Tensor) -> None:
         """Keep these rows of the moments of per-splat tensors (the same rows that the model keeps)."""

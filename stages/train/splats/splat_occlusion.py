@@ -25,11 +25,17 @@ AT_ONCE = 4096  # splats traced at a time: all 3 million rays at once were the r
 LOBE_RAYS = 6  # rays through a pixel's reflection lobe
 SMOOTHING = 2  # diffusion rounds of the traced per-splat values
 NEAREST = 4  # splats that carry a hull vertex
+LEVEL = 0.25  # of the distance to the last of them, within which inverse-square weights are level: no vertex hangs on one splat
+LIFT = 0.7  # splat spacings off the surface at which rays begin: the carried hull is coarser than the splats
+SMOOTH_LEVEL = 0.55  # roughness of the light that one diffuse ray stands for: it spans the solid angle about it
+GRAZING = 0.02  # cosine below which a reflected ray runs into its own surface and counts as free
+FAR_TAIL = 0.999  # share of the lobe that rays are drawn from: the last 0.1 % reaches the horizon
+GOLDEN = 0.618034  # golden section: azimuths of successive rays fill the circle evenly
 LEAST_BLOCKED = 0.004  # mean share of blocked diffuse rays below which the object counts as convex and tracing is left out
 
 
 @dataclass(frozen=True)
-class Occluder:
+class CarriedHull:
     """A triangle mesh to cast rays at, and for each vertex the nearest splat (whose material it shows)."""
 
     rays: RayMesh
@@ -50,15 +56,15 @@ class Occluder:
         return hit, splat
 
 
-def carried_hull(hull: HullMesh, model: SplatModel) -> Occluder:
+def carried_hull(hull: HullMesh, model: SplatModel) -> CarriedHull:
     """The hull with every vertex moved as its nearest splats have moved since the start."""
     anchors = model["anchor"].detach().cpu().double().numpy()
     moved = model["position"].detach().cpu().double().numpy() - anchors
     distance, index = cKDTree(anchors).query(hull.vertices, k=min(NEAREST, len(anchors)))
-    weight = 1 / (distance**2 + (0.25 * np.median(distance[:, -1])) ** 2)  # inverse squares, level within a quarter spacing
+    weight = 1 / (distance**2 + (LEVEL * np.median(distance[:, -1])) ** 2)
     weight /= weight.sum(-1, keepdims=True)
     vertices = hull.vertices + (weight[..., None] * moved[index]).sum(1)
-    return Occluder(
+    return CarriedHull(
         RayMesh(vertices, hull.triangles), vertices, hull.triangles, vertex_normals(vertices, hull.triangles), index[:, 0]
     )
 
@@ -74,11 +80,20 @@ class SplatOcclusion:
 
 
 def trace_splats(
-    occluder: Occluder, splats: Splats, light: LightField, graph: SurfaceGraph, seed: int, fresnel: str
+    occluder: CarriedHull, splats: Splats, light: LightField, graph: SurfaceGraph, seed: int, fresnel: str
 ) -> SplatOcclusion:
-    """Shadow and one diffuse-and-specular bounce at every splat, under the current light and material."""
+    """Shadow and one diffuse-and-specular bounce at every splat, under the current light and material.
+
+    Args:
+        occluder: the object as rays see it.
+        splats: N Gaussians; no gradient is taken.
+        light: prefiltered environment.
+        graph: over which the traced values are smoothed, and whose spacing lifts the rays off the surface.
+        seed: of each splat's turn of the ray pattern.
+        fresnel: "exact" or "schlick".
+    """
     normals = splats.normals.detach().cpu().numpy().astype(np.float32)
-    origins = splats.means.detach().cpu().numpy().astype(np.float32) + 0.7 * graph.spacing * normals
+    origins = splats.means.detach().cpu().numpy().astype(np.float32) + LIFT * graph.spacing * normals
     turn = np.random.default_rng(seed).random(len(normals)).astype(np.float32) * 2 * np.pi
     blocked, parts = 0, []
     for first in range(0, len(normals), AT_ONCE):
@@ -91,7 +106,7 @@ def trace_splats(
 
 
 def _trace_rows(
-    occluder: Occluder,
+    occluder: CarriedHull,
     splats: Splats,
     light: LightField,
     origins: np.ndarray,
@@ -105,7 +120,7 @@ def _trace_rows(
     count = directions.shape[1]
     flat = directions.reshape(-1, 3)
     hit, splat = occluder.cast(np.repeat(origins, count, 0), flat)
-    roughness = torch.full((len(flat),), 0.55, device=device)  # a smooth level: rays stand for the solid angle about them
+    roughness = torch.full((len(flat),), SMOOTH_LEVEL, device=device)
     radiance = light.mirrored(torch.as_tensor(flat, device=device), roughness)
     open_ = torch.as_tensor(~hit, device=device)[:, None]
     total = radiance.reshape(-1, count, 3).sum(1)
@@ -138,7 +153,7 @@ def outgoing(splats: Splats, rows: np.ndarray, towards: np.ndarray, light: Light
 
 
 def trace_pixels(
-    occluder: Occluder,
+    occluder: CarriedHull,
     splats: Splats,
     light: LightField,
     points: np.ndarray,
@@ -149,21 +164,31 @@ def trace_pixels(
     seed: int,
     fresnel: str,
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Share of the reflection lobe that leaves the object [P], and the object's radiance in the rest of it [P, 3]."""
+    """The reflection lobe of P pixels, sampled by LOBE_RAYS rays each.
+
+    Args:
+        occluder, splats, light, seed, fresnel: as in `trace_splats`.
+        points, normals, view_direction: on the surface, unit, unit and towards the camera; training frame. [P, 3]
+        roughness: perceptual. [P]
+        spacing: mean distance between neighbouring splats.
+
+    Returns:
+        Share of the lobe that leaves the object [P], and the object's mean radiance over the lobe, 0 where a ray leaves [P, 3].
+    """
     device = splats.means.device
     rng = np.random.default_rng(seed)
     count = len(points)
     u = (np.arange(LOBE_RAYS) + rng.random((count, LOBE_RAYS))) / LOBE_RAYS
-    angle = 2 * np.pi * ((np.arange(LOBE_RAYS) * 0.618034 + rng.random((count, 1))) % 1.0)
-    tan2 = -((roughness**4)[:, None]) * np.log1p(-u * 0.999)  # Beckmann half vectors; the last 0.1 % is the far tail
+    angle = 2 * np.pi * ((np.arange(LOBE_RAYS) * GOLDEN + rng.random((count, 1))) % 1.0)
+    tan2 = -((roughness**4)[:, None]) * np.log1p(-u * FAR_TAIL)  # Beckmann half vectors
     nz = 1 / np.sqrt(1 + tan2)
     sine = np.sqrt(1 - nz * nz)
     local = np.stack([sine * np.cos(angle), sine * np.sin(angle), nz], -1).astype(np.float32)
     half = local_to_world(local, normals, np.zeros(count, np.float32))
     reflected = 2 * (half * view_direction[:, None]).sum(-1, keepdims=True) * half - view_direction[:, None]
-    below = (reflected * normals[:, None]).sum(-1) <= 0.02
+    below = (reflected * normals[:, None]).sum(-1) <= GRAZING
     flat = reflected.reshape(-1, 3).astype(np.float32)
-    origins = np.repeat(points + 0.7 * spacing * normals, LOBE_RAYS, 0)
+    origins = np.repeat(points + LIFT * spacing * normals, LOBE_RAYS, 0)
     hit, splat = occluder.cast(origins, flat)
     hit &= ~below.reshape(-1)
     seen = torch.zeros(len(flat), 3, device=device)
@@ -174,7 +199,7 @@ def trace_pixels(
 
 
 def view_occlusion(shadow: torch.Tensor, bounced: torch.Tensor, unblocked: torch.Tensor, seen: torch.Tensor) -> Occlusion:
-    """The four terms [P, 3], [P, 3], [P], [P, 3] as shading takes them."""
+    """The four terms, shadow [P, 3], bounced [P, 3], unblocked [P] and seen [P, 3], as shading takes them."""
     return Occlusion(shadow=shadow, bounced=bounced, unblocked=unblocked, seen=seen)
 
 

@@ -55,7 +55,17 @@ def surface_loss(
     offsets: torch.Tensor,
     weights: SurfaceWeights,
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Weighted total (differentiable) and the five weighted parts (not)."""
+    """The losses on the surface, by a fused kernel on the CPU.
+
+    Args:
+        graph: neighbours among N splats.
+        positions, normals, albedo: normals are unit. [N, 3]
+        offsets: of roughness and IoR, raw units. [N, 2]
+        weights: factors of the five `surface_terms`.
+
+    Returns:
+        Weighted total (differentiable) and the five weighted parts [5] (not).
+    """
     if graph.edges.shape[1] == 0:
         zero = positions.sum() * 0
         return zero, zero.detach().expand(5)

@@ -36,7 +36,7 @@ def radiance_loss(predicted: torch.Tensor, target: torch.Tensor, weight: torch.T
 
 
 def stokes_loss(predicted: torch.Tensor, target: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:
-    """L_pol for full Stokes data [P, 3, 3]: s1 and s2 in units of encoded radiance."""
+    """L_pol for full Stokes data: s1 and s2 in units of encoded radiance; predicted, target [P, 3, 3], weight [P]."""
     slope = encode_slope(target[:, :1])
     return weighted_mean(robust(slope * (predicted[:, 1:] - target[:, 1:])).mean((-1, -2)), weight)
 
@@ -47,5 +47,8 @@ def weighted_mean(values: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:
 
 
 def mask_loss(alpha: torch.Tensor, target: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:
-    """L_mask: mean absolute difference, relative to the object's area so that empty margins do not dilute it."""
+    """L_mask: mean absolute difference of alpha and target [H, W], times weight [H, W].
+
+    Relative to the object's area, so that empty margins do not dilute it.
+    """
     return ((alpha - target).abs() * weight).sum() / target.sum().clamp_min(1.0)

@@ -1,7 +1,7 @@
 """Which way unknown polarisers stand: short, small trainings from many starts, the worse ones dropped on the way.
 
 The loss has a wrong basin for most starts (the model explains the contrast by bent normals and tinted light), and the
-right one is told from it within a hundred steps: its loss is a tenth lower.
+right one differs from it within a hundred steps: its loss is a tenth lower.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ import numpy as np
 from pipeline.capture.model import PolariserPrior
 from pipeline.engine.progress import Progress
 
-from ..log_environment import Environment
-from ..parameters import TrainParameters
-from ..setup import MEAN_EXPOSED, NO_POINTS, START_ALBEDO, Start, prepare_training
-from ..splats.gaussians import SplatModel
-from ..trainer import Scene, Trainer
-from .data import SourceView
-from .polarisers import PolariserBank
+from .parameters import TrainParameters
+from .scene import Scene
+from .setup import NO_POINTS, Start, prepare_training, start_environment
+from .splats.gaussians import SplatModel
+from .trainer import Trainer
+from .views.polarisers import PolariserBank
+from .views.source_views import SourceView
 
 SPACING_DEG = 45.0  # between starts: every angle is within 22.5 degrees of one, where cos 2t keeps its sign
 MOST_STARTS = 24  # for three polarisers or more, spread at random
@@ -68,7 +68,18 @@ def search_angles(
     progress: Progress,
     points: np.ndarray = NO_POINTS,
 ) -> dict[str, float]:
-    """Best angles (degrees) of the unknown polarisers."""
+    """Start angles of polarisers of which nothing is known, by short trainings from a grid of angles.
+
+    Args:
+        sources: the views, as loaded.
+        priors: what is known of each camera's polariser.
+        unknown: names of the cameras whose angle is sought.
+        up, parameters, points: as in `prepare_training`.
+        progress: where the bar is shown.
+
+    Returns:
+        Angle by name (degrees, 0..180).
+    """
     small = replace(parameters, **SMALL)  # type: ignore[arg-type]
     start = prepare_training(sources, "polarisers", priors, up, small, "cpu", points, cut=False)
     candidates = [Candidate(angles, _trainer(start, priors, angles, small)) for angles in starts(unknown, parameters.seed)]
@@ -101,7 +112,6 @@ def _trainer(
     bank = PolariserBank(priors, scene.bank.names)
     for name, angle in angles.items():
         bank.set_angle(name, math.radians(angle))
-    light = MEAN_EXPOSED / (0.85 * START_ALBEDO + 0.07)
-    environment = Environment(parameters.environment_resolution, light)
+    environment = start_environment(parameters.environment_resolution)
     own = Scene(SplatModel(scene.model.tensors), environment, bank, scene.hull)
     return Trainer(own, start.pyramids, "polarisers", start.frame, parameters, "cpu")

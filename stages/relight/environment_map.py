@@ -22,8 +22,9 @@ def read_map(path: Path) -> tuple[NDArray[np.float32], list[str]]:
     faults = []
     for what, bad in (("not finite", ~np.isfinite(pixels)), ("negative", pixels < 0)):
         if bad.any():
-            faults.append(f"{path.name}: {int(bad.any(-1).sum())} pixels are {what}; taken as 0")
+            count = int(bad.any(-1).sum())
+            faults.append(f"{path.name}: {count} pixels are {what} and taken as 0; check how the map was written")
             pixels = np.where(bad, 0, pixels)
     if not pixels.any():
-        faults.append(f"{path.name}: the map is black")
+        faults.append(f"{path.name}: the map is black; check the file")
     return np.ascontiguousarray(pixels, np.float32), faults

@@ -1,0 +1,90 @@
+"""The scene rendered as it stands, and the self-occlusion that the renderings use, traced from it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+
+from pipeline.shading import LightField, Occlusion, Prefilter
+
+from .parameters import TrainParameters
+from .render_view import LEAST_ALPHA, Rendered, rasterise_view, render_view
+from .scene import Scene
+from .splats.gaussians import ROUGHNESS_FLOOR, Splats
+from .splats.splat_occlusion import LEAST_BLOCKED, carried_hull, trace_pixels, trace_splats, view_occlusion
+from .views.view import View
+
+
+class Renderer:
+    """Renders a scene with one shading model. Occlusion is a constant of the shading from one tracing to the next.
+
+    Args:
+        scene: what is rendered; `trace` writes its occlusion there.
+        parameters: shading model, environment resolution and seed.
+        backend: rasteriser, "cpu", "cuda" or "reference".
+    """
+
+    def __init__(self, scene: Scene, parameters: TrainParameters, backend: str) -> None:
+        self.scene, self.parameters, self.backend = scene, parameters, backend
+        self.prefilter = Prefilter(parameters.environment_resolution, parameters.lobe)
+
+    def light(self) -> LightField:
+        """The prefiltered environment."""
+        return self.prefilter.apply(self.scene.environment.radiance())
+
+    def render(self, view: View, level: int, light: LightField | None = None) -> Rendered:
+        """A training view at a pyramid level, with the occlusion traced for it last. `light` saves prefiltering again."""
+        light = light if light is not None else self.light()
+        return self._shaded(self.scene.model.activated(), view, light, self.scene.occlusion.get((view.name, level)))
+
+    def render_whole(self, view: View) -> Rendered:
+        """Any view, traced for itself where the object occludes itself."""
+        light, splats = self.light(), self.scene.model.activated()
+        traced = self.scene.splat_occlusion is not None
+        return self._shaded(splats, view, light, self.trace_view(view, light, splats) if traced else None)
+
+    def _shaded(self, splats: Splats, view: View, light: LightField, occlusion: Occlusion | None) -> Rendered:
+        p = self.parameters
+        return render_view(splats, view, light, backend=self.backend, fresnel=p.fresnel, mirror=p.mirror, occlusion=occlusion)
+
+    @torch.no_grad()
+    def trace(self, views: Sequence[View], level: int) -> None:
+        """Trace shadows, bounces and blocked reflections for every one of the views, which are those of a pyramid level."""
+        light, splats = self.light(), self.scene.model.activated()
+        self.trace_surface(light, splats)
+        self.scene.occlusion.clear()
+        if self.scene.splat_occlusion is None:
+            return
+        for view in views:
+            self.scene.occlusion[view.name, level] = self.trace_view(view, light, splats)
+
+    def trace_surface(self, light: LightField, splats: Splats) -> None:
+        """The occluder and what each splat receives; None of the latter where next to nothing is occluded."""
+        scene, p = self.scene, self.parameters
+        scene.occluder = carried_hull(scene.hull, scene.model)
+        traced = trace_splats(scene.occluder, splats, light, scene.linked(), p.seed, p.fresnel)
+        scene.splat_occlusion = traced if traced.blocked >= LEAST_BLOCKED else None
+
+    @torch.no_grad()
+    def trace_view(self, view: View, light: LightField, splats: Splats) -> Occlusion:
+        """Occlusion at a view's pixels: shadow and bounce blended from the splats, the reflection lobe traced."""
+        traced, occluder = self.scene.splat_occlusion, self.scene.occluder
+        assert traced is not None and occluder is not None
+        extra = torch.cat([traced.shadow, traced.bounced], -1)
+        g = rasterise_view(splats, view, view.pixels, self.backend, extra)
+        depth = g.raster.depth_expected.reshape(-1)[view.pixels] / g.alpha.clamp_min(LEAST_ALPHA)
+        normal = torch.where(g.alpha[:, None] > 0, g.normal, view.view_direction)
+        unblocked, seen = trace_pixels(
+            occluder,
+            splats,
+            light,
+            view.points_at(depth).cpu().numpy(),
+            normal.cpu().numpy(),
+            view.view_direction.cpu().numpy(),
+            g.roughness.clamp(ROUGHNESS_FLOOR, 1).cpu().numpy(),
+            self.scene.linked().spacing,
+            self.parameters.seed,
+            self.parameters.fresnel,
+        )
+        return view_occlusion(g.extra[:, :3], g.extra[:, 3:], unblocked, seen)

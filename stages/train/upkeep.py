@@ -1,0 +1,129 @@
+"""What is done to the scene between steps: surface graph, densification, tracing, and the search for concavities."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+
+from .parameters import TrainParameters
+from .renderer import Renderer
+from .scene import Scene
+from .splats.densify import Activity, edges_to_split, keep, kept_rows, split_edges
+from .splats.optimiser import SurfaceAdam
+from .views.source_views import Mode
+from .views.view import View
+
+REFRESH = 100  # steps between rebuilding the surface graph: splats move by a fraction of their spacing meanwhile
+CYCLE = 2 * REFRESH  # steps between densification, tracing and checkpoints: nothing traced has to be saved then
+DENSIFY_UNTIL = 0.6  # share of the run after which the splats stay as they are
+MOST_REMOVED = 0.5  # share of the splats from which on none is removed: the images are then at fault, not the splats
+OCCLUSION_FROM = 200  # steps before the first tracing: the light and the albedo must mean something
+CONCAVITIES_AT = (400, 600, 800)  # steps (of CYCLE) before which hollows are looked for: the light must be about right
+CONCAVITIES_UNTIL = 0.6  # share of the run after which there is no time left to settle
+LEAST_CONCAVITY = 0.03  # share of the surface below which what is found counts as noise, and is not looked for again: a
+# teapot's reflections in itself fake up to 0.019, real webs were 0.075 and more
+
+
+class Upkeep:
+    """Keeps a scene fit for training.
+
+    Args:
+        scene, adam, renderer: what is trained, its optimiser (whose moments follow the splats), and how it is rendered.
+        views: the training views at full size.
+        mode: what the views hold.
+        parameters: the stage's.
+
+    Attributes:
+        activity: what the images did to each splat since the last densification; `Trainer.step` adds to it.
+        hollowed: share of the surface that each search so far found to lie deeper.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        adam: SurfaceAdam,
+        renderer: Renderer,
+        views: Sequence[View],
+        mode: Mode,
+        parameters: TrainParameters,
+    ) -> None:
+        self.scene, self.adam, self.renderer = scene, adam, renderer
+        self.views, self.mode, self.parameters = views, mode, parameters
+        self.hollowed: list[float] = []
+        self.forget_activity()
+
+    def forget_activity(self) -> None:
+        """Begin to count anew."""
+        model = self.scene.model
+        self.activity = Activity.empty(len(model), model["position"].device)
+
+    def refresh(self, iteration: int, views: Sequence[View], level: int) -> None:
+        """What is due before step `iteration`, a multiple of REFRESH; `views` of the pyramid level in use are traced."""
+        self.scene.link_neighbours()
+        if iteration % CYCLE:
+            return
+        if iteration > 0:
+            self.densify(iteration)
+        traces = self.parameters.occlusion and iteration >= OCCLUSION_FROM
+        if traces:
+            self.renderer.trace(views, level)
+        if self.looks_for_concavities(iteration) and self.hollow_out() and traces:
+            self.renderer.trace(views, level)
+
+    def densify(self, iteration: int) -> None:
+        """Remove what does not show, then add where the images pull hardest, up to the bound, while there is time."""
+        p, model = self.parameters, self.scene.model
+        if p.densify and iteration / p.iterations <= DENSIFY_UNTIL:
+            self._remove_hidden()
+            split_edges(model, self.adam, edges_to_split(self.scene.linked(), self.activity, p.max_splats - len(model)))
+            self.scene.link_neighbours()
+        self.forget_activity()
+
+    def _remove_hidden(self) -> None:
+        """Remove faint and hidden splats, not those at the back of an opening."""
+        model = self.scene.model
+        backs = any(view.openings > 0 for view in self.views)
+        rows = kept_rows(torch.sigmoid(model["opacity"].detach()), self.activity, backs)
+        if len(model) > len(rows) > int((1 - MOST_REMOVED) * len(model)):
+            keep(model, self.adam, rows)
+            self.activity = self.activity.rows(rows)
+            self.scene.link_neighbours()
+
+    def looks_for_concavities(self, iteration: int) -> bool:
+        """Whether a search is due: the data can tell, there is time to settle, and the last search was not in vain."""
+        p = self.parameters
+        due = iteration in CONCAVITIES_AT and iteration <= CONCAVITIES_UNTIL * p.iterations
+        return p.searches_concavities(self.mode) and due and (not self.hollowed or self.hollowed[-1] >= LEAST_CONCAVITY)
+
+    @torch.no_grad()
+    def hollow_out(self) -> bool:
+        """Look for hollows that no silhouette shows, and move the surface into them; whether any splat made way.
+
+        The splats elsewhere stay. What the object hides from itself must have been traced on the surface as it is.
+        """
+        from .concavity.explanation import shading_tables
+        from .concavity.hollow import DepthField, hollowed
+        from .concavity.refit import refit
+        from .concavity.samples import view_images
+        from .concavity.search import surface_depths
+
+        scene, p, spacing = self.scene, self.parameters, self.scene.linked().spacing
+        surface = scene.moved(scene.hull)
+        occlusion = {name: traced for (name, level), traced in scene.occlusion.items() if level == 0}
+        images = view_images(self.views, self.mode, scene.bank, occlusion)
+        splats = scene.model.activated()
+        shading = shading_tables(splats, self.renderer.light(), p.fresnel)
+        points, albedo = splats.means.detach().cpu().numpy(), splats.albedo.detach().cpu().numpy()
+        found = surface_depths(surface, images, shading, points, albedo, p.seed)
+        self.hollowed.append(found.share)
+        if found.share < LEAST_CONCAVITY:
+            return False
+        field = DepthField(found.points, found.depths)
+        hollow = hollowed(surface if scene.closed is None else scene.moved(scene.closed), field)
+        if hollow is None or refit(scene.model, self.adam, field, hollow, spacing, p.max_splats, p.seed) is None:
+            return False
+        scene.hull, scene.closed = hollow, None
+        scene.link_neighbours()
+        self.forget_activity()
+        return True
