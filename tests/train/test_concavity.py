@@ -254,7 +254,7 @@ def test_training_finds_a_dent_that_no_silhouette_shows():
 
 
 @pytest.mark.slow
-def test_a_run_resumed_at_a_recess_is_the_same_run(tmp_path):
+def test_a_run_resumed_at_a_concavity_is_the_same_run(tmp_path):
     sources = dented_sources(size=48, count=16)
     trainer = dent_trainer(sources, "on", occlusion=True)
     for _ in range(400):
