@@ -16,7 +16,7 @@ from pipeline.capture import Capture
 from pipeline.engine.arguments import parse
 from pipeline.engine.changes import State, expected_warnings, keep_hint, outlook, plan_text, stale_after, states
 from pipeline.engine.dataset import Dataset, digest_json
-from pipeline.engine.device import check_cuda, chosen_device
+from pipeline.engine.device import device_of, refuse_missing_cuda
 from pipeline.engine.gc import collect
 from pipeline.engine.interrupts import Interrupted, in_child, interruptible, wait_for
 from pipeline.engine.places import open_places, refuse_another_capture
@@ -173,7 +173,7 @@ def _bring_up_to_date(call: Call, steps: list[Step]) -> int:
     found = {name: state for name, state in states(dataset, steps).items() if name in {s.stage.name for s in wanted}}
     kept = remember(call.last, call.settings, set(found), call.stages)
     if call.options.device == "cuda" and any(s.stage.device and not found[s.stage.name].ready for s in wanted):
-        check_cuda()
+        refuse_missing_cuda()
     for step in wanted:
         if not found[step.stage.name].ready:
             step.stage.check(call.capture)
@@ -241,7 +241,7 @@ def _make_alone(call: Call, steps: list[Step]) -> int:
     from pipeline.engine.execute import make_version
 
     step = next(s for s in steps if s.stage.name == call.command)
-    device = chosen_device(call.options.device) if step.stage.device else "cpu"
+    device = device_of(call.options.device) if step.stage.device else "cpu"
     make_version(call.dataset, call.capture, step, call.capture.environments, device, call.options.jobs, call.progress)
     return 0
 

@@ -1,4 +1,4 @@
-"""Where training runs: the processor, or a GPU that is really there."""
+"""Which device training runs on."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 from pipeline.errors import UserError
 
 
-def check_cuda() -> None:
+def refuse_missing_cuda() -> None:
     """Raise UserError where training on the GPU cannot be, before anything runs."""
     import importlib.util
 
@@ -20,8 +20,8 @@ def check_cuda() -> None:
         raise UserError("DEVICE (--device)", "cuda: gsplat is not installed", "pip install gsplat, or give cpu")
 
 
-def chosen_device(choice: str) -> str:
-    """`cpu` or `cuda` for an option of those, or of `auto`."""
+def device_of(choice: str) -> str:
+    """`cpu` or `cuda`, as a call names it or (`auto`) as the machine has it."""
     if choice != "auto":
         return choice
     import importlib.util

@@ -184,6 +184,7 @@ def test_sound_captures_are_read_without_a_word_more(sound, tmp_path):
         assert through_the_readers(root, tmp_path / name) == "sound", name
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(ONLY is not None, reason="POLARFIELD_FUZZ_SEED repeats one number")
 @settings(
     max_examples=TRIES, deadline=None, database=None, derandomize="POLARFIELD_FUZZ" not in os.environ, phases=(Phase.generate,),

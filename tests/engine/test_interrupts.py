@@ -14,6 +14,7 @@ import pytest
 
 from pipeline.formats.images import write_png
 
+pytestmark = pytest.mark.slow
 ROOT = Path(__file__).parents[2]
 STAGE = """
 import time
