@@ -34,7 +34,7 @@ from tests.capture import conftest
 from tests.capture.conftest import Scene, frame
 from tests.capture.mutations import MUTATIONS
 
-TRIES = int(os.environ.get("POLARFIELD_FUZZ", "400"))
+TRIES = int(os.environ.get("POLARFIELD_FUZZ", "2000"))
 ONLY = os.environ.get("POLARFIELD_FUZZ_SEED")
 LONGEST_S = 10
 CAMERA_FILE = """#focal length
