@@ -1,27 +1,33 @@
 # polarfield: `make all CAPTURE=folder`; `make help` lists the rest.
 PYTHON ?= python3
 VENV ?= .venv
-BIN := $(VENV)/bin
 DEVICE ?= auto
 JOBS ?= 1
 DEMO ?= build/demo
 STAGES := decode poses masks olat train mesh relight metrics
-READY := $(VENV)/.ready
-
-# Through the environment, so that the shell takes every value as it stands: paths with spaces, quotes in ENVS= and PARAMS=.
-export CAPTURE DATASET PARAMS ENVS DEVICE JOBS
-OPTIONS = $(if $(CAPTURE),"$$CAPTURE") --dataset="$$DATASET" --params="$$PARAMS" --envs="$$ENVS" --device="$$DEVICE" --jobs="$$JOBS"
 
 # A misspelt variable would be ignored without a word.
-VARIABLES := CAPTURE DATASET PARAMS ENVS DEVICE JOBS DRY_RUN YES CAPTURES PYTHON VENV DEMO
+VARIABLES := CAPTURE DATASET PARAMS ENVS DEVICE JOBS DRY_RUN YES FULL REPAIR CAPTURES PYTHON VENV DEMO
 $(foreach name,$(.VARIABLES),$(if $(filter command,$(origin $(name))),$(if $(filter-out $(VARIABLES) MAKE% -%,$(name)),\
   $(error $(name)= is not a variable of this Makefile; it knows $(VARIABLES:%=%=)))))
 
-.PHONY: all plan inspect report gc $(STAGES) setup demo test test-fast lint bench bench-train bench-olat bench-rasterize clean help
+# Values are what the user wrote: make itself would expand a $ in them.
+$(foreach name,$(VARIABLES),$(eval override $(name) := $$(value $(name))))
+BIN := $(VENV)/bin
+READY := $(VENV)/.ready
+
+# Through the environment, so that the shell takes every value as it stands: paths with spaces, quotes in ENVS= and PARAMS=.
+export CAPTURE DATASET PARAMS ENVS DEVICE JOBS CAPTURES DEMO
+OPTIONS = $(if $(CAPTURE),"$$CAPTURE") --dataset="$$DATASET" --params="$$PARAMS" --envs="$$ENVS" --device="$$DEVICE" --jobs="$$JOBS"
+
+.PHONY: all plan inspect report verify gc $(STAGES) setup demo test test-fast lint bench bench-train bench-olat bench-rasterize clean help
 .DEFAULT_GOAL := help
 
 all plan inspect report $(STAGES): $(READY)
 	@exec $(BIN)/polarfield $@ $(OPTIONS)
+
+verify: $(READY)
+	@exec $(BIN)/polarfield $@ $(OPTIONS) $(if $(FULL),--full) $(if $(REPAIR),--repair)
 
 gc: $(READY)
 	@exec $(BIN)/polarfield $@ $(OPTIONS) $(if $(DRY_RUN),--dry-run) $(if $(YES),--yes)
@@ -36,10 +42,10 @@ $(READY): pyproject.toml constraints.txt tools/system_libraries.sh
 	@touch $@
 
 demo: $(READY)  ## a tiny synthetic capture through every stage
-	$(BIN)/python -m synth $(DEMO)/captures
-	$(BIN)/polarfield all $(DEMO)/captures/views --dataset $(DEMO)/views --device $(DEVICE)
-	$(BIN)/polarfield all $(DEMO)/captures/stage --dataset $(DEMO)/stage --device $(DEVICE)
-	@echo "reports: $(DEMO)/views/metrics/current/report.html and $(DEMO)/stage/metrics/current/report.html"
+	$(BIN)/python -m synth "$$DEMO/captures"
+	$(BIN)/polarfield all "$$DEMO/captures/views" --dataset "$$DEMO/views" --device "$$DEVICE"
+	$(BIN)/polarfield all "$$DEMO/captures/stage" --dataset "$$DEMO/stage" --device "$$DEVICE"
+	@echo "reports: $$DEMO/views/metrics/current/report.html and $$DEMO/stage/metrics/current/report.html"
 
 # One torch thread for the fast tests: their tensors are small, and threads that wait for each other cost three times the time.
 FAST = OMP_NUM_THREADS=1 $(BIN)/python -m pytest -m "not slow"
@@ -63,7 +69,7 @@ $(VENV)/.bench: $(READY)
 	@touch $@
 
 bench-train bench-olat bench-rasterize: $(VENV)/.bench
-	$(BIN)/python -m benchmarks.$(subst -,_,$@) $(if $(CAPTURES),--captures "$(CAPTURES)")
+	$(BIN)/python -m benchmarks.$(subst -,_,$@) $(if $(CAPTURES),--captures "$$CAPTURES")
 
 clean:  ## caches and the demo; never a dataset
 	rm -rf build .pytest_cache .mypy_cache .ruff_cache
@@ -78,6 +84,7 @@ help:
 	@echo "$(STAGES)"
 	@echo "                          one stage and what it needs; stages that PARAMS does not name stay as in the last run"
 	@echo "report                    write the report of the results in use and say where it lies; runs no other stage"
+	@echo "verify                    name what is damaged of everything in use; DATASET=folder [FULL=1] [REPAIR=1: drop that]"
 	@echo "gc                        remove versions that nothing in use was made from; DATASET=folder [DRY_RUN=1] [YES=1]"
 	@grep -hE '^[a-z][a-z -]*:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## */\t/' | expand -t 26
 	@echo

@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 FEW = 8  # names that fit a line beside a fault
+LONGEST = 400  # characters of a word that a person reads
 
 
 class UserError(Exception):
@@ -21,7 +22,22 @@ class UserError(Exception):
 
     def __str__(self) -> str:
         line = f"{self.file}: {self.fault}"
-        return " ".join((f"{line}; {self.remedy}" if self.remedy else line).split())
+        return one_line(f"{line}; {self.remedy}" if self.remedy else line)
+
+
+def one_line(text: str) -> str:
+    """A text in one line, in which no word is longer than a person reads (a path of 5000 characters, a garbled value)."""
+    return " ".join(w if len(w) <= LONGEST else f"{w[: LONGEST // 2]}...{w[-LONGEST // 2 :]}" for w in text.split())
+
+
+def line_of(error: Exception) -> str:
+    """A fault of the user's, of the disk or of the memory as one line."""
+    if isinstance(error, OSError) and error.strerror:
+        name = error.filename if isinstance(error.filename, str | Path) else "polarfield"
+        return one_line(f"{name}: {error.strerror}")
+    if isinstance(error, MemoryError):
+        return "there is not enough memory; give it to a machine with more, or smaller images"
+    return str(error)
 
 
 def nearest(name: str, valid: Iterable[str]) -> str:

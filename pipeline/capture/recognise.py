@@ -9,6 +9,7 @@ from pathlib import Path
 from pipeline.capture.config import load_config
 from pipeline.capture.layouts import all_layouts
 from pipeline.capture.model import Capture
+from pipeline.capture.naming.safe_names import refuse_special_files
 from pipeline.capture.recognition.foreign import foreign_warnings, refuse_unreadable
 from pipeline.capture.recognition.told_tables import refuse_idle_tables
 from pipeline.errors import UserError
@@ -30,13 +31,13 @@ def open_capture(path: Path | str) -> Capture:
     if not root.is_dir():
         raise UserError(root, "is a file, not a capture folder", "give CAPTURE= the folder that holds the images")
     try:
-        entries = sorted(
-            entry.name + ("/" if entry.is_dir() else "") for entry in os.scandir(root) if not entry.name.startswith(".")
-        )
+        shown = [name for name in os.listdir(root) if not name.startswith(".")]
+        entries = sorted(name + "/" * os.path.isdir(root / name) for name in shown)
     except PermissionError:
         raise UserError(root, "cannot be read: permission denied", "make the folder readable") from None
     if not entries:
         raise UserError(root, "the folder is empty", "give CAPTURE= a folder with images; docs/captures.md lists the layouts")
+    refuse_special_files(root)
     config = load_config(root)
     layouts = all_layouts()
     if config.layout is not None:

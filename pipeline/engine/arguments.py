@@ -18,7 +18,15 @@ COMMANDS = {
     "plan": "print what `all` would run, what is done already, and why",
     "inspect": "write a page that shows what was understood of a capture, before anything long runs",
     "report": "write the report of the results in use and say where it lies; runs no other stage",
-    "gc": "remove versions that nothing in use was made from, and unfinished work; lists them, and asks on a terminal",
+    "verify": "read everything in use against its digests and name what is damaged or missing (then the exit status is 1)",
+    "gc": "remove versions that nothing in use was made from, and unfinished work; lists them, and asks unless --yes is given",
+}
+SWITCHES = {
+    "gc": {"--dry-run": "list what would go, and remove nothing", "--yes": "do not ask"},
+    "verify": {
+        "--full": "read all files again, also those that were found whole and were not written to since",
+        "--repair": "drop what is damaged, so that the next run makes exactly that again",
+    },
 }
 MAKE_VARIABLES = {"--dataset": "DATASET", "--params": "PARAMS", "--envs": "ENVS", "--device": "DEVICE", "--jobs": "JOBS"}
 DEVICES = ("auto", "cpu", "cuda")
@@ -50,7 +58,7 @@ def _unknown(flag: str, command: str, stages: Mapping[str, Stage]) -> UserError:
     if owner and owner != command:
         parameter = name[2:].replace("-", "_")
         return UserError(name, f"is a parameter of {owner}, not of {command}", f'as in --params "{owner}.{parameter}=VALUE"')
-    near = nearest(name, [*own, *MAKE_VARIABLES, "--quiet", *(("--dry-run", "--yes") if command == "gc" else ())])
+    near = nearest(name, [*own, *MAKE_VARIABLES, "--quiet", *SWITCHES.get(command, ())])
     return UserError(name, f"{command} has no such option", near)
 
 
@@ -85,9 +93,8 @@ def _parser(stages: Mapping[str, Stage]) -> argparse.ArgumentParser:
     for name, text in COMMANDS.items():
         sub = commands.add_parser(name, help=text, description=text, epilog=EPILOG)
         _common(sub)
-        if name == "gc":
-            sub.add_argument("--dry-run", action="store_true", help="list what would go, and remove nothing")
-            sub.add_argument("--yes", action="store_true", help="do not ask")
+        for switch, meaning in SWITCHES.get(name, {}).items():
+            sub.add_argument(switch, action="store_true", help=meaning)
     for name, stage in stages.items():
         text = f"run the {name} stage and what it needs; other stages keep the parameters and maps of the last run"
         sub = commands.add_parser(name, help=f"run the {name} stage and what it needs", description=text, epilog=EPILOG)

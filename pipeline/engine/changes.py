@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
 from pipeline.engine.dataset import Dataset, Version
+from pipeline.engine.dataset.documents import read_object
 from pipeline.engine.plan import Step, as_json
 from pipeline.engine.progress import brief
 from pipeline.engine.settings import Settings
@@ -72,7 +72,7 @@ def _wall_s(version: Version) -> float | None:
 def _last_wall_s(dataset: Dataset, stage: str, current: Version | None) -> float | None:
     if current is not None:
         return _wall_s(current)
-    made = sorted(dataset.versions(stage), key=lambda v: v.manifest.get("started", ""))
+    made = sorted(dataset.versions(stage), key=lambda v: str(v.manifest.get("started", "")))
     return _wall_s(made[-1]) if made else None
 
 
@@ -80,11 +80,11 @@ def _unfinished_s(dataset: Dataset, step: Step) -> float | None:
     """Seconds of work that a killed run left behind with a checkpoint, or None."""
     work = dataset.work_folder(step.stage.name, step.key)
     try:
-        if not any((work / "scratch").iterdir()):
-            return None
-        return float(json.loads((work / "usage.json").read_text())["wall_s"])
-    except (OSError, ValueError, KeyError):
+        begun = any((work / "scratch").iterdir())
+    except OSError:
         return None
+    wall = (read_object(work / "usage.json") or {}).get("wall_s")
+    return float(wall) if begun and isinstance(wall, int | float) else None
 
 
 def differences(manifest: Mapping[str, Any], step: Step) -> tuple[str, bool]:
@@ -185,6 +185,12 @@ def outlook(found: Mapping[str, State]) -> str:
     if len(known) == len(left):
         return f"to do: {', '.join(left)}; last time that took {brief(sum(known))}"
     return f"to do: {', '.join(left)}"
+
+
+def expected_warnings(at_once: Sequence[str], dataset: Dataset, found: Mapping[str, State]) -> list[str]:
+    """What a run would warn of, as far as it can be known: of the capture, and what the stages that are done said."""
+    kept = [v.manifest.get("warnings", []) for n, s in found.items() if s.kind == "done" and (v := dataset.current(n))]
+    return list(dict.fromkeys([*at_once, *(str(w) for warnings in kept for w in warnings)]))
 
 
 def keep_hint(last: Settings, now: Settings, found: Mapping[str, State], stages: Mapping[str, Stage], whole: bool) -> str:

@@ -1,8 +1,9 @@
-"""The `polarfield` command: `all`, one command per stage, `plan`, `inspect`, `report`, `gc`."""
+"""The `polarfield` command: `all`, one command per stage, `plan`, `inspect`, `report`, `verify`, `gc`."""
 
 from __future__ import annotations
 
 import argparse
+import io
 import os
 import signal
 import subprocess
@@ -13,9 +14,11 @@ from pathlib import Path
 
 from pipeline.capture import Capture
 from pipeline.engine.arguments import parse
-from pipeline.engine.changes import State, keep_hint, outlook, plan_text, stale_after, states
+from pipeline.engine.changes import State, expected_warnings, keep_hint, outlook, plan_text, stale_after, states
 from pipeline.engine.dataset import Dataset, digest_json
+from pipeline.engine.device import device_of, refuse_missing_cuda
 from pipeline.engine.gc import collect
+from pipeline.engine.interrupts import Interrupted, in_child, interruptible, wait_for
 from pipeline.engine.places import open_places, refuse_another_capture
 from pipeline.engine.plan import Step, load_stages, make_plan, plan_as_json
 from pipeline.engine.progress import Progress
@@ -28,7 +31,8 @@ from pipeline.engine.settings import (
     with_environments,
 )
 from pipeline.engine.stage import Stage
-from pipeline.errors import UserError
+from pipeline.engine.verify import verify
+from pipeline.errors import UserError, line_of
 
 Inspect = Callable[[Capture, Sequence[Step], Path, Mapping[str, State]], Path]
 """Write what was understood of a capture to a folder, with a plan and how its steps stand; returns the page's path."""
@@ -68,24 +72,29 @@ class Call:
 
 
 def main(program: Program, arguments: Sequence[str]) -> int:
-    """Run one command; returns the exit status: 0 done, 2 a fault of input, 130 interrupted."""
+    """Run one command; returns the exit status: 0 done, 1 damage found, 2 a fault of input, 128 + signal interrupted."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # a file's name may be no text
     try:
-        return _run(program, arguments)
-    except UserError as error:
-        print(f"polarfield: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("polarfield: interrupted; the same command resumes where it can", file=sys.stderr)
-        return 130
+        with interruptible():
+            return _run(program, arguments)
     except BrokenPipeError:
         return 0
+    except (UserError, OSError, MemoryError) as error:
+        print(f"polarfield: {line_of(error)}", file=sys.stderr)
+        return 2
+    except Interrupted as signal_heard:
+        if "--alone" not in arguments:  # the run that began this stage says it
+            print("polarfield: interrupted; the same command goes on from what is done", file=sys.stderr)
+        return signal_heard.status
 
 
 def _run(program: Program, arguments: Sequence[str]) -> int:
     stages = load_stages(program.modules)
     options = parse(stages, arguments)
-    if options.command == "gc":
-        return collect(options, stages)
+    if options.command in ("gc", "verify"):
+        return {"gc": collect, "verify": verify}[options.command](options, stages)
     call = _call(program, options, stages)
     if options.command in ("plan", "inspect"):
         return _show(call)
@@ -121,6 +130,11 @@ def _show(call: Call) -> int:
     print(f"{call.capture.root.name}: {call.capture.layout}\n{plan_text(steps, found)}\n{outlook(found)}")
     if hint := keep_hint(call.last, call.settings, found, call.stages, call.command not in call.stages):
         print(hint)
+    for warning in expected_warnings(call.capture.warnings, call.dataset, found):
+        print(f"warning: {warning}")
+    for step in steps:
+        if not found[step.stage.name].ready:
+            step.stage.check(call.capture)
     if call.command == "inspect":
         folder = call.dataset.root.with_name(call.dataset.root.name + "-inspect")
         print(f"inspection: {call.program.inspect(call.capture, steps, folder, found)}")
@@ -159,7 +173,10 @@ def _bring_up_to_date(call: Call, steps: list[Step]) -> int:
     found = {name: state for name, state in states(dataset, steps).items() if name in {s.stage.name for s in wanted}}
     kept = remember(call.last, call.settings, set(found), call.stages)
     if call.options.device == "cuda" and any(s.stage.device and not found[s.stage.name].ready for s in wanted):
-        _check_cuda()
+        refuse_missing_cuda()
+    for step in wanted:
+        if not found[step.stage.name].ready:
+            step.stage.check(call.capture)
     _describe(call, steps, kept)
     _announce(call, steps, found)
     made = [s.stage.name for s in wanted if _bring(call, s)]
@@ -169,7 +186,7 @@ def _bring_up_to_date(call: Call, steps: list[Step]) -> int:
     if wanted[-1].stage.name == call.program.report:
         print(f"report: {_report_path(call)}")
     elif target is not None:
-        print(f"{target}: {dataset.root / target / 'current'}")
+        print(f"{target}: {_place(call, target)}")
     if stale := stale_after(dataset, steps):
         remedy = f"`make {call.program.report}` brings everything up to date"
         print(f"out of date: {', '.join(stale)} (made from earlier versions); {remedy}")
@@ -224,7 +241,7 @@ def _make_alone(call: Call, steps: list[Step]) -> int:
     from pipeline.engine.execute import make_version
 
     step = next(s for s in steps if s.stage.name == call.command)
-    device = _device(call.options.device) if step.stage.device else "cpu"
+    device = device_of(call.options.device) if step.stage.device else "cpu"
     make_version(call.dataset, call.capture, step, call.capture.environments, device, call.options.jobs, call.progress)
     return 0
 
@@ -238,25 +255,12 @@ def _in_a_process_of_its_own(call: Call, name: str) -> int:
     command += ["--device", options.device, "--jobs", str(options.jobs)] + (["--quiet"] if options.quiet else [])
     path = os.pathsep.join(filter(None, [str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH", "")]))
     sys.stdout.flush()
-    child = subprocess.Popen(command, env={**os.environ, "PYTHONPATH": path}, preexec_fn=_die_with_parent)
-    try:
-        status = child.wait()
-    except KeyboardInterrupt:
-        child.wait()
-        raise
+    status = wait_for(subprocess.Popen(command, env={**os.environ, "PYTHONPATH": path}, preexec_fn=in_child))
     if status < 0:
         why = signal.Signals(-status).name
         hint = "it may have run out of memory; " if status == -signal.SIGKILL else ""
         raise UserError(name, f"the stage was ended by {why}", f"{hint}the same command resumes it")
     return status
-
-
-def _die_with_parent() -> None:
-    """Ask Linux to kill this process when its parent dies, so that a kill of `make all` leaves nothing running."""
-    import ctypes
-
-    pr_set_pdeathsig = 1
-    ctypes.CDLL(None).prctl(pr_set_pdeathsig, signal.SIGKILL)
 
 
 def _describe(call: Call, steps: list[Step], kept: Settings) -> None:
@@ -275,29 +279,10 @@ def _describe(call: Call, steps: list[Step], kept: Settings) -> None:
 
 
 def _report_path(call: Call) -> Path:
-    return call.dataset.root / call.program.report / "current" / "report.html"
+    return _place(call, call.program.report) / "report.html"
 
 
-def _check_cuda() -> None:
-    """Raise UserError where training on the GPU cannot be, before anything runs."""
-    import importlib.util
-
-    import torch
-
-    if not torch.cuda.is_available():
-        build = "" if torch.version.cuda else ", and this build of torch has no CUDA"
-        raise UserError("DEVICE (--device)", f"cuda: no usable GPU is here{build}", "give cpu, or auto")
-    if importlib.util.find_spec("gsplat") is None:
-        raise UserError("DEVICE (--device)", "cuda: gsplat is not installed", "pip install gsplat, or give cpu")
-
-
-def _device(choice: str) -> str:
-    if choice != "auto":
-        return choice
-    import importlib.util
-
-    if not Path("/dev/nvidiactl").exists() or importlib.util.find_spec("gsplat") is None:
-        return "cpu"  # decided without importing torch
-    import torch
-
-    return "cuda" if torch.cuda.is_available() else "cpu"
+def _place(call: Call, stage: str) -> Path:
+    """Where a stage's version in use lies."""
+    version = call.dataset.current(stage)
+    return call.dataset.place(version) if version else call.dataset.root / stage / "current"

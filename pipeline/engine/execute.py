@@ -15,6 +15,7 @@ from pipeline.capture import Capture
 from pipeline.engine.dataset import Dataset, Version
 from pipeline.engine.dataset.digests import digest_file
 from pipeline.engine.dataset.usage import Usage
+from pipeline.engine.inputs_check import cause, published, refuse_unsafe_tables
 from pipeline.engine.plan import Step, as_json
 from pipeline.engine.progress import Progress, brief
 from pipeline.engine.stage import StageRun
@@ -55,15 +56,24 @@ def make_version(
             shutil.rmtree(output)
         output.mkdir()
         scratch.mkdir(exist_ok=True)
-        inputs = {n: _published(dataset, n, step.inputs["stages"][n]) for n in step.needs}
+        upstream = {n: published(dataset, n, step.inputs["stages"][n]) for n in step.needs}
+        refuse_unsafe_tables(dataset, upstream.values())
+        inputs = {n: version.folder for n, version in upstream.items()}
         run = StageRun(capture, step.parameters, inputs, output, scratch, device, environments, progress, jobs)
         usage = Usage(work / "usage.json")
         try:
             step.stage.run(run)
             figures = usage.stop()
+            _refuse_changed_files(dataset, step)
             version = dataset.publish(name, key, output, _manifest(step, run, output, figures))
         except OSError as error:
             raise _target_fault(error, dataset.root) from error
+        except Exception as error:
+            _refuse_changed_files(dataset, step)
+            found = cause(error, dataset, upstream)
+            if found is error:
+                raise
+            raise found from error
         finally:
             usage.stop()
         dataset.clear_work(name, key)
@@ -71,11 +81,13 @@ def make_version(
         return version
 
 
-def _published(dataset: Dataset, stage: str, key: str) -> Path:
-    version = dataset.find(stage, key)
-    if version is None:
-        raise UserError(dataset.root / stage / key, "this version is missing or damaged", "run `make all` again")
-    return version.folder
+def _refuse_changed_files(dataset: Dataset, step: Step) -> None:
+    """Raise UserError where a file that the stage read is another than when the work was planned; its work is dropped."""
+    changed = dataset.digests.altered(step.files)
+    if changed is not None:
+        dataset.clear_work(step.stage.name, step.key)
+        fault = f"was changed while {step.stage.name} ran, so that its result was dropped"
+        raise UserError(changed, fault, "the same command goes on from here, once the file stays as it is")
 
 
 def _manifest(step: Step, run: StageRun, output: Path, figures: Mapping[str, Any]) -> dict[str, Any]:

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Iterable
 
 from pipeline.engine.dataset import Dataset
-from pipeline.engine.dataset.garbage import Garbage, garbage, remove
+from pipeline.engine.dataset.garbage import Collection, collection, remove
 from pipeline.engine.places import existing_dataset
 from pipeline.errors import UserError
 
@@ -18,27 +18,38 @@ def collect(options: argparse.Namespace, stages: Iterable[str]) -> int:
     """Run `gc`; returns the exit status. Raises UserError where there is no dataset, or a run is at work on it."""
     dataset = existing_dataset(options.capture, options.dataset)
     if options.dry_run:
-        _list(dataset, garbage(dataset, stages), "would remove")
+        _list(dataset, collection(dataset, stages), "would remove")
         return 0
     dataset.prepare()
     with dataset.in_use(alone=True) as granted:
         if not granted:
             raise UserError(dataset.root, "another run is at work on this dataset", "try again when it has ended")
-        items = garbage(dataset, stages)
-        asked = bool(items) and not options.yes and sys.stdin.isatty() and sys.stdout.isatty()
-        _list(dataset, items, "can go:" if asked else "removing")
-        if asked and input("remove these? [y/N] ").strip().lower() not in ("y", "yes"):
-            print("nothing was removed")
-            return 0
-        remove(items)
+        found = collection(dataset, stages)
+        _list(dataset, found, "removing" if options.yes else "can go:")
+        if found.items and (options.yes or _agreed(dataset)):
+            remove(found.items)
     return 0
 
 
-def _list(dataset: Dataset, items: list[Garbage], verb: str) -> None:
-    for item in items:
+def _agreed(dataset: Dataset) -> bool:
+    """Whether a person says yes; where none can be asked, how to say it in advance."""
+    if not (sys.stdin.isatty() and sys.stdout.isatty()):
+        print(f"nothing was removed: `make gc DATASET={dataset.root} YES=1` (--yes) removes these without asking")
+        return False
+    if input("remove these? [y/N] ").strip().lower() in ("y", "yes"):
+        return True
+    print("nothing was removed")
+    return False
+
+
+def _list(dataset: Dataset, found: Collection, verb: str) -> None:
+    for item in found.items:
         print(f"{verb} {item.folder} ({item.what}, {item.bytes / MEGA:.1f} MB)")
-    total = sum(item.bytes for item in items) / MEGA
-    if items:
-        print(f"{len(items)} folder{'s' * (len(items) != 1)}, {total:.1f} MB; what results in use were made from stays")
+    for doubt in found.doubts:
+        print(f"kept: {doubt}")
+    total = sum(item.bytes for item in found.items) / MEGA
+    if found.items:
+        count = len(found.items)
+        print(f"{count} folder{'s' * (count != 1)}, {total:.1f} MB; what results in use were made from stays")
     else:
         print(f"{dataset.root}: nothing to remove")

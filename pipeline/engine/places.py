@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.capture import Capture, open_capture
+from pipeline.capture.naming.safe_names import refuse_unsafe_names
 from pipeline.engine.dataset import Dataset
 from pipeline.engine.plan import Step
 from pipeline.errors import UserError
@@ -21,13 +22,15 @@ def open_places(capture: str, dataset: str, command: str) -> tuple[Capture, Data
     root = Path(dataset) if dataset else Path("datasets") / source.absolute().name
     _refuse_a_dataset_as_capture(source)
     _refuse_a_capture_as_dataset(source, root)
-    return open_capture(source), Dataset(root)
+    opened = open_capture(source)
+    refuse_unsafe_names(opened)
+    return opened, Dataset(root)
 
 
-def existing_dataset(capture: str, dataset: str) -> Dataset:
+def existing_dataset(capture: str, dataset: str, command: str = "gc") -> Dataset:
     """The dataset of a call that reads no capture. Raises UserError where there is none."""
     if not capture and not dataset:
-        raise UserError("DATASET", "no dataset was given", "as in `make gc DATASET=folder`")
+        raise UserError("DATASET", "no dataset was given", f"as in `make {command} DATASET=folder`")
     found = Dataset(Path(dataset) if dataset else Path("datasets") / Path(capture).absolute().name)
     if not found.exists:
         fault = "is not a dataset (it has no dataset.json)" if found.root.is_dir() else "no such dataset"

@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.capture import Capture
-from pipeline.engine.dataset import DigestCache, digest_json
+from pipeline.engine.dataset import DigestCache
+from pipeline.engine.dataset.versions import content_key
 from pipeline.engine.stage import Decision, Stage, parameters_from
 from pipeline.errors import UserError, nearest
 
@@ -28,6 +29,7 @@ class Step:
     key: str = ""
     inputs: Mapping[str, Any] = dataclasses.field(default_factory=dict)
     needs: tuple[str, ...] = ()
+    files: tuple[Path, ...] = ()  # of the capture and the maps, that the stage reads itself
 
 
 def load_stages(modules: Mapping[str, str]) -> dict[str, Stage]:
@@ -85,7 +87,7 @@ def make_plan(
             "capture": _capture_facts(capture, stage),
         }
         content = {"stage": name, "version": stage.version, "parameters": as_json(parameters), "inputs": inputs}
-        steps[name] = Step(stage, decision, parameters, digest_json(content)[:16], inputs, needs)
+        steps[name] = Step(stage, decision, parameters, content_key(content), inputs, needs, tuple(files))
     return list(steps.values())
 
 

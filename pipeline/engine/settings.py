@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.capture import Capture
+from pipeline.capture.naming.safe_names import environment_name, fault_of_name
 from pipeline.engine.plan import parse_overrides
 from pipeline.engine.stage import Stage, parameters_from
 from pipeline.errors import UserError
@@ -55,6 +56,8 @@ def remembered_settings(description: Mapping[str, Any], dataset: Path, stages: M
     kept = description.get("given", {})
     parameters: dict[str, dict[str, str]] = {}
     for name, values in kept.get("parameters", {}).items():
+        if not all(isinstance(v, str | int | float) for v in values.values()):
+            continue
         try:
             parameters_from(stages[name], values, "dataset.json")
         except (UserError, KeyError):
@@ -94,7 +97,10 @@ def with_environments(capture: Capture, extra: tuple[Path, ...]) -> Capture:
         if width != 2 * height:  # refused now, not after the training
             fault = f"is {width}x{height}: a latitude-longitude map is twice as wide as high"
             raise UserError(path, fault, "convert it to that projection")
-        other = by_name.setdefault(path.stem, path)
+        name = environment_name(path)
+        if wrong := fault_of_name(name):
+            raise UserError(path, f"its name {wrong}, and results are named after it", "rename the map")
+        other = by_name.setdefault(name, path)
         if other.absolute() != path.absolute():
             raise UserError(path, f"has the same name as {other}", "rename one of them: results are named after the map")
     return replace(capture, environments=tuple(by_name.values()))

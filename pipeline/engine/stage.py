@@ -38,13 +38,18 @@ def no_files(capture: Capture) -> Iterable[Path]:
     return ()
 
 
+def no_check(capture: Capture) -> None:
+    """For a stage whose files are checked where the capture is recognised."""
+
+
 @dataclass(frozen=True)
 class Stage:
     """One stage of the pipeline.
 
     `version` grows whenever the meaning of its output changes. `needs` are upstream stages, read where the plan runs
     them. `capture_files` are the capture's files that it reads itself, and `config` the `capture.toml` sections that
-    it heeds: both enter its key. `environments` says that it reads the maps to relight under, `device` that it runs on
+    it heeds: both enter its key. `check` raises UserError where it could not use its files; it is asked before any
+    stage runs. `environments` says that it reads the maps to relight under, `device` that it runs on
     the device that a call names (every other stage runs on the processor and loads nothing to find out).
     """
 
@@ -55,6 +60,7 @@ class Stage:
     needed: Callable[[Capture, Any], Decision]
     run: Callable[[StageRun], None]
     capture_files: Callable[[Capture], Iterable[Path]] = no_files
+    check: Callable[[Capture], None] = no_check
     config: tuple[str, ...] = ()
     environments: bool = False
     device: bool = False

@@ -14,6 +14,7 @@ from pipeline.errors import UserError
 
 LARGEST = 1 << 31
 """Bytes of one array: 130 megapixels of three floats, 65 of three doubles."""
+LONGEST_REASON = 200  # characters: zipfile quotes a garbled header whole
 AGAIN = "copy it again from its source"
 Header = tuple[tuple[int, ...], np.dtype[Any], bool]
 
@@ -79,7 +80,9 @@ def _with_member(path: Path, key: str | None, read: Callable[[IO[bytes], int], A
             with archive.open(info) as member:
                 return read(member, info.file_size)
     except (OSError, ValueError, EOFError, zipfile.BadZipFile, NotImplementedError, RuntimeError, OverflowError) as error:
-        raise UserError(path, f"cannot be read ({str(error).splitlines()[0] if str(error) else error!r})", AGAIN) from None
+        raise UserError(
+            path, f"cannot be read ({(str(error).splitlines() or [repr(error)])[0][:LONGEST_REASON]})", AGAIN
+        ) from None
     except Exception as error:  # zlib's own, and what a damaged header makes of Python's parser
         if type(error).__module__ not in ("zlib", "builtins", "tokenize") or isinstance(error, UserError | MemoryError):
             raise

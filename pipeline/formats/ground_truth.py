@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.errors import UserError
+from pipeline.formats.arrays import array_names, read_array
 from pipeline.formats.images import XYZ, read_image
+from pipeline.formats.json_file import read_json
 
 FOLDER, MAPS = "gt", "maps.npz"
+TRUE_MAPS = ("mask", "normal", "albedo", "dp_du")
+"""The arrays of maps.npz that are read."""
 
 
 @dataclass(frozen=True)
@@ -58,10 +59,7 @@ class Truth:
         """A JSON file of gt/ (or of the capture's root), None where there is none. Raises UserError if it is broken."""
         for path in (self.root / FOLDER / name, self.root / name):
             if path.is_file():
-                try:
-                    return json.loads(path.read_text())
-                except ValueError as error:
-                    raise UserError(path, f"is not JSON ({error})", "mend or remove it") from error
+                return read_json(path, "mend or remove it")
         return None
 
     def polarisers(self) -> dict[str, float] | None:
@@ -85,8 +83,4 @@ def camera_maps(camera: Path) -> dict[str, NDArray] | None:
     path = camera / FOLDER / MAPS
     if not path.is_file():
         return None
-    try:
-        with path.open("rb") as file, np.load(file) as maps:
-            return {name: maps[name] for name in maps.files}
-    except (OSError, ValueError, EOFError, BadZipFile) as error:
-        raise UserError(path, f"cannot be read ({error})", "mend or remove it") from error
+    return {name: read_array(path, name) for name in array_names(path) if name in TRUE_MAPS}

@@ -55,7 +55,7 @@ def open_image(path: Path, page: Page | None = None, unassociated: bool = False,
         how.attribute("oiio:UnassociatedAlpha", 1)
     image = _oiio().ImageInput.open(str(path), how)
     if image is None:
-        raise UserError(path, f"cannot be read as an image ({first_line(_oiio().geterror())})", "copy it again or remove it")
+        raise UserError(path, f"cannot be read as an image ({reason_of(_oiio())})", "copy it again or remove it")
     try:
         return chosen(image, path, page, plain)
     except UserError:
@@ -63,9 +63,13 @@ def open_image(path: Path, page: Page | None = None, unassociated: bool = False,
         raise
 
 
-def first_line(text: str) -> str:
-    """The first line of what OpenImageIO says."""
-    return (text.strip().splitlines() or ["no reason given"])[0]
+def reason_of(library: Any) -> str:
+    """What OpenImageIO, or one of its images, says of its last fault: of a garbled file it may be no text."""
+    try:
+        said = str(library.geterror()).strip().splitlines()
+    except UnicodeDecodeError:
+        return "its header is garbled"
+    return said[0] if said else "no reason given"
 
 
 def image_size(path: str | Path, page: Page | None = None) -> tuple[int, int]:
@@ -100,7 +104,7 @@ def read_stored(path: Path, plain: bool = False) -> tuple[np.ndarray, list[str],
     spec = image.spec()
     frame = exr_frame(spec, path)
     pixels = image.read_image("float")
-    error = first_line(image.geterror()) if pixels is None else ""
+    error = reason_of(image) if pixels is None else ""
     image.close()
     if pixels is None:
         raise UserError(path, f"the image is truncated or corrupt ({error})", "copy it again from its source")
@@ -194,7 +198,7 @@ def _write(path: Path, pixels: np.ndarray, kind: str, names: list[str], attribut
     done = out is not None and out.open(str(path), spec) and _put(out, pixels, kind)
     done = bool(out is not None and out.close() and done)
     if not done:
-        reason = first_line(out.geterror() if out is not None else oiio.geterror())
+        reason = reason_of(out if out is not None else oiio)
         raise write_fault(path, reason)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Protocol, TypeVar
 
@@ -16,6 +16,8 @@ SHORTEST_FOCAL = 0.01
 """Of the longer side: a pinhole would see 179 degrees; it is a focal length in other units, such as image widths."""
 FURTHEST_CENTRE = 10.0
 """Image sizes: crops keep their lens's principal point, but not so far away."""
+FURTHEST_PLACE = 1e12
+"""World units from the origin: float64 still tells a ten-thousandth of a unit apart there, and no survey lies beyond."""
 SAME_PLACE = 1e-9
 """Of the coordinates: camera centres that differ by less than this are one."""
 
@@ -57,6 +59,8 @@ def check_camera(camera: AnyCamera, path: str | Path, what: str) -> AnyCamera:
 def _fault(camera: CameraLike) -> tuple[str, str]:
     """What is wrong, and what to do; empty where nothing is."""
     pose = np.asarray(camera.world_to_camera, float)
+    if pose.shape == (4, 4) and np.isfinite(pose).all() and np.abs(camera.centre).max() > FURTHEST_PLACE:
+        return f"its place, {_listed(camera.centre)}, is no place", "check the matrix, or give positions in other units"
     numbers = (camera.fx, camera.fy, camera.cx, camera.cy)
     if pose.shape != (4, 4) or not np.isfinite(pose).all() or not np.isfinite(camera.centre).all():
         return "the pose is not finite", "remove the view, or export its camera again"
@@ -83,7 +87,7 @@ def _fault(camera: CameraLike) -> tuple[str, str]:
     return "", ""
 
 
-def _listed(numbers: tuple[float, ...]) -> str:
+def _listed(numbers: Iterable[float]) -> str:
     return ", ".join(f"{x:g}" for x in numbers)
 
 

@@ -89,6 +89,9 @@ def _lobe(part: Table, folder: Path, brdf: dict | None, truth: dict[str, NDArray
     part.figures["sigma_rel_error"] = [abs(x / y - 1) for x, y in zip(part.figures["sigma_median"], sorted(true, reverse=True))]
     if true[0] == true[1]:
         return
+    if "dp_du" not in truth:
+        part.missing(["tangent_median_deg"], f"{folder.name}/gt/maps.npz has no dp_du")
+        return
     normal, along_u = truth["normal"][inside], truth["dp_du"][..., :3][inside].astype(np.float64)
     u = along_u - normal * (along_u * normal).sum(-1, keepdims=True)
     length = np.linalg.norm(u, axis=-1, keepdims=True)

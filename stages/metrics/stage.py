@@ -23,6 +23,13 @@ def capture_files(capture: Capture) -> Iterable[Path]:
     return capture.truth.files()
 
 
+def check(capture: Capture) -> None:
+    """Raise UserError where the ground truth cannot be used."""
+    from .truth_check import check_truth
+
+    check_truth(capture, capture_files(capture))
+
+
 def run(run: StageRun) -> None:
     """Write metrics.json and report.html."""
     from .run import measure
@@ -38,5 +45,6 @@ STAGE = Stage(
     needed=needed,
     run=run,
     capture_files=capture_files,
+    check=check,
     config=("up", "olat"),
 )

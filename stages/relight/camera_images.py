@@ -7,6 +7,7 @@ import json
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.capture.naming.safe_names import environment_name
 from pipeline.engine.stage import StageRun
 from pipeline.formats import dataset_files as files
 from pipeline.formats.images import RGB, read_mask, srgb_encode, write_exr, write_png
@@ -36,15 +37,17 @@ def relight_stage(run: StageRun) -> None:
                     irradiance=config.irradiance, specular_factor=config.specular_factor, up=up,
                     decode_folder=index_path.parent,
                 )  # fmt: skip
-                _write(run, path.stem, name + files.SUMMED, summed)
+                _write(run, environment_name(path), name + files.SUMMED, summed)
                 if "olat" in run.inputs and (run.inputs["olat"] / name).is_dir():  # a camera that saw no object has no maps
                     shaded = relight_maps(run.inputs["olat"] / name, camera, radiance, up=up)
-                    _write(run, path.stem, name, shaded)
+                    _write(run, environment_name(path), name, shaded)
                     inside = np.asarray(shaded.any(-1)) if mask is None else mask
                     error = relighting_error(summed, shaded, inside)
-                    write_exr(files.relit(run.output / path.stem, name, files.ERROR), {"Y": error})
+                    write_exr(files.relit(run.output / environment_name(path), name, files.ERROR), {"Y": error})
                     if inside.any():
-                        run.note(f"{path.stem}.{name}.maps_error_median", round(float(np.median(error[inside])), 4))
+                        run.note(
+                            f"{environment_name(path)}.{name}.maps_error_median", round(float(np.median(error[inside])), 4)
+                        )
                 bar.advance(1)
 
 

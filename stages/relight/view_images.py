@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.capture.naming.safe_names import environment_name
 from pipeline.engine.stage import StageRun
 from pipeline.errors import UserError
 from pipeline.formats import dataset_files as files
@@ -75,7 +76,7 @@ def relight_views(run: StageRun) -> None:
     if not paths:
         raise UserError(train / files.GBUFFERS, "there are no G-buffers", "run the train stage again")
     model = ShadingModel.read(train / files.LIGHTING, run.capture.up, p.mirror)
-    lamps = {path.stem: _lamp(run, path, model) for path in run.environments}
+    lamps = {environment_name(path): _lamp(run, path, model) for path in run.environments}
     occluder = _occluder(run, model)
     lit = {name: occluder.under(lamp) for name, lamp in lamps.items()} if occluder else {}
     masks = run.inputs.get("masks")

@@ -5,6 +5,8 @@ from __future__ import annotations
 import csv
 import os
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -88,7 +90,7 @@ def tell_start(start: Start, stage: StageRun) -> None:
 def find_polarisers(start: Start, sources: list[SourceView], stage: StageRun, points: np.ndarray = NO_POINTS) -> None:
     """Start values for polariser angles of which nothing is known (a resumed run has them already)."""
     bank = start.scene.bank
-    if bank is None or checkpoint.load(stage.scratch) is not None:
+    if bank is None or checkpoint.load(stage.scratch, stage.progress.say) is not None:
         return
     unknown = [name for name, settled in zip(bank.names, bank.settled) if not settled]
     if unknown:
@@ -98,21 +100,26 @@ def find_polarisers(start: Start, sources: list[SourceView], stage: StageRun, po
 
 
 def optimise(trainer: Trainer, stage: StageRun, started: float) -> History:
-    """Run the schedule to its end, to the time limit, or until validation stops gaining; then consolidate."""
+    """Run the schedule to its end, to the time limit, or until validation stops gaining; then consolidate.
+
+    An interrupt keeps the state of the last CYCLE boundary, from where the next run goes on.
+    """
     parameters, history = trainer.parameters, History()
-    saved = checkpoint.load(stage.scratch)
+    saved = checkpoint.load(stage.scratch, stage.progress.say)
     if saved is not None:
         trainer.load(saved["trainer"])
         history = History(**saved["history"])
-    earlier, last_saved = history.wall_s, time.monotonic()
-    with stage.progress.bar("training", total=parameters.iterations, unit="steps") as bar:
+    earlier, last_saved, packed = history.wall_s, time.monotonic(), b""
+    with kept_when_interrupted(stage, lambda: packed), stage.progress.bar("training", parameters.iterations, "steps") as bar:
         bar.skip(trainer.iteration)
         while trainer.iteration < parameters.iterations:
             now = time.monotonic()
             history.wall_s = earlier + now - started
-            if trainer.iteration % CYCLE == 0 and now - last_saved > parameters.checkpoint_s:
-                checkpoint.save(stage.scratch, {"trainer": trainer.state(), "history": vars(history)})
-                last_saved = now
+            if trainer.iteration % CYCLE == 0:
+                packed = checkpoint.pack({"trainer": trainer.state(), "history": vars(history)})
+                if now - last_saved > parameters.checkpoint_s:
+                    checkpoint.write(stage.scratch, packed)
+                    last_saved = now
             advance(trainer, history, bar)
             if should_stop(trainer, history):
                 history.stopped_at = trainer.iteration
@@ -121,6 +128,17 @@ def optimise(trainer: Trainer, stage: StageRun, started: float) -> History:
         history.wall_s = earlier + time.monotonic() - started
         record(trainer, history, trainer.validate())
     return history
+
+
+@contextmanager
+def kept_when_interrupted(stage: StageRun, packed: Callable[[], bytes]) -> Iterator[None]:
+    """Save the last packed state, if there is one, when a signal ends the run."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        if packed():
+            checkpoint.write(stage.scratch, packed())
+        raise
 
 
 def advance(trainer: Trainer, history: History, bar: Bar) -> None:

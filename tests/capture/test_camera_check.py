@@ -97,6 +97,7 @@ def refused(root, *words):
         (lambda f: f.update(transform_matrix=np.diag([1, 1, -1, 1]).tolist()), ("no rotation",)),
         (lambda f: f.update(transform_matrix=[[0, 0, 0, 1]] * 3), ("no rotation",)),
         (lambda f: f["transform_matrix"][3].__setitem__(0, 0.5), ("matrix",)),
+        (lambda f: f["transform_matrix"][0].__setitem__(3, 1e308), ("no place",)),
         (lambda f: f.update(mask_path=5), ("mask_path = 5", "not text")),
         (lambda f: f.update(file_path="a" * 5000), ("no file name",)),
     ],

@@ -196,7 +196,7 @@ def test_collection_keeps_what_results_in_use_were_made_from_and_can_be_tried_dr
     command("metrics", "--dataset", "d")
     dry = command("gc", "--dataset", "d", "--dry-run").out
     assert f"would remove d/count/{first}" in dry and "MB" in dry and Path(f"d/count/{first}").exists()
-    assert "4 folders" in command("gc", "--dataset", "d").out
+    assert "4 folders" in command("gc", "--dataset", "d", "--yes").out
     assert not Path(f"d/count/{first}").exists() and in_use(Path("d")).keys() == kept.keys()
     assert command("all", "--dataset", "d", "--params", "count.factor=6").ran == []
 

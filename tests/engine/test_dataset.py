@@ -14,7 +14,7 @@ import pytest
 
 from pipeline.capture import Capture
 from pipeline.engine.dataset import Dataset
-from pipeline.engine.dataset.garbage import garbage, remove
+from pipeline.engine.dataset.garbage import collection, remove
 from pipeline.engine.execute import make_version
 from pipeline.engine.plan import Step, make_plan, parse_overrides
 from pipeline.engine.progress import Progress
@@ -65,7 +65,7 @@ def test_a_changed_parameter_or_input_makes_a_new_version_beside_the_old_for_wha
     (capture.root / "number.txt").write_text("5")
     run_all(dataset, capture, stages)
     assert (dataset.root / "double/current/double.txt").read_text() == "20"
-    gone = garbage(dataset, stages)
+    gone = collection(dataset, stages).items
     remove(gone)
     assert len(gone) == 4 and (dataset.root / "double/current/double.txt").read_text() == "20"
 

@@ -46,3 +46,19 @@ def test_collection_takes_its_two_switches(make):
 def test_a_misspelt_variable_is_refused_with_those_that_are_known(make):
     done = make("all", "CAPTUR=x")
     assert done.returncode == 2 and "CAPTUR= is not a variable" in done.stderr and "CAPTURE=" in done.stderr
+
+
+def test_make_expands_nothing_in_a_value(make, tmp_path):
+    mark = tmp_path / "mark"
+    trap = f"$(shell touch {mark})"
+    done = make("all", "CAPTURE=pri$ce", f"DATASET=a {trap}", f"PARAMS={trap}", f"ENVS=$$x {trap}", "JOBS=$(DEVICE)")
+    assert done.returncode == 0, done.stderr
+    said = done.stdout.splitlines()
+    assert said[1] == "pri$ce" and f"--dataset=a {trap}" in said and f"--envs=$$x {trap}" in said
+    assert f"--params={trap}" in said and "--jobs=$(DEVICE)" in said
+    assert make("gc", f"YES={trap}", "DATASET=d").returncode == 0
+    assert not mark.exists()
+
+
+def test_verification_takes_its_two_switches(make):
+    assert make("verify", "DATASET=d", "FULL=1", "REPAIR=1").stdout.splitlines()[-2:] == ["--full", "--repair"]

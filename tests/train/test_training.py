@@ -95,10 +95,32 @@ def test_the_environments_smoothness_has_the_same_gradient_every_time():
     assert len(seen) == 1
 
 
-def test_a_broken_checkpoint_is_as_none(tmp_path):
+def test_a_broken_checkpoint_is_as_none_and_told(tmp_path):
     assert checkpoint.load(tmp_path) is None
-    (tmp_path / checkpoint.NAME).write_bytes(b"half a fi")
-    assert checkpoint.load(tmp_path) is None
+    path = tmp_path / checkpoint.NAME
+    checkpoint.save(tmp_path, {"a": torch.arange(100.0), "b": [1, {"c": "d"}]})
+    content = path.read_bytes()
+    saved = checkpoint.load(tmp_path)
+    assert saved is not None and saved["b"] == [1, {"c": "d"}] and torch.equal(saved["a"], torch.arange(100.0))
+    broken = [b"", b"half a fi", content[:-1], content[: len(content) // 2], b"\x80\x04K\x01." * 20]
+    for at in range(0, len(content), len(content) // 40):
+        broken.append(content[:at] + bytes([content[at] ^ 4]) + content[at + 1 :])
+    for text in broken:
+        path.write_bytes(text)
+        said: list[str] = []
+        assert checkpoint.load(tmp_path, said.append) is None and "is damaged" in said[0] and not path.exists()
+
+
+def test_a_full_disk_leaves_the_last_checkpoint_and_no_half_one(tmp_path, monkeypatch):
+    checkpoint.save(tmp_path, {"a": 1})
+
+    def full(handle):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("os.fsync", full)
+    with pytest.raises(OSError, match="No space"):
+        checkpoint.save(tmp_path, {"a": 2})
+    assert [p.name for p in tmp_path.iterdir()] == [checkpoint.NAME] and checkpoint.load(tmp_path) == {"a": 1}
 
 
 @pytest.fixture(scope="module")

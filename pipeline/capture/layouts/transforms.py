@@ -126,6 +126,8 @@ def pictures_of(root: Path, frames: list[NerfFrame]) -> tuple[Path, list[Path], 
             raise UserError(frame.path, "cannot be read", UNREADABLE[frame.path.suffix.lower()])
     folder = common_folder(root, [f.path for f in frames])
     there = [p for p in dict.fromkeys(f.path for f in frames) if p.is_file()]
+    if apart := next((p for p in there if not p.is_relative_to(folder)), None):
+        raise UserError(root, f"its frames name {apart}, which lies apart from the other images", "put all below one folder")
     if folder == root or not folder.is_dir() or not Path(os.path.normpath(folder)).is_relative_to(root):
         return folder, there, []
     chosen = sort_out(sorted({*there, *list_images(folder)}), folder, {p.stem for p in there})

@@ -13,7 +13,7 @@ from pipeline.capture.naming.grouping import ANGLE_ALONE, turned
 from pipeline.errors import UserError
 from pipeline.formats.bare_arrays import ARRAY_SUFFIXES, open_array
 from pipeline.formats.image_parts import MAY_HOLD_SEVERAL, SPLIT, Page, layers, pages_of
-from pipeline.formats.images import _oiio, open_image, srgb_decode
+from pipeline.formats.images import _oiio, open_image, reason_of, srgb_decode
 
 USUAL = (0.0, 45.0, 90.0, 135.0)
 """Degrees of four pages in their order, as polarisation cameras' viewers save them."""
@@ -64,7 +64,7 @@ def _pages(path: Path) -> list[Page]:
     else:
         image = _oiio().ImageInput.open(str(path))
         if image is None:
-            _oiio().geterror()  # or the library prints it at exit
+            reason_of(_oiio())  # or the library prints it at exit
             open_image(path).close()  # says why
             return [Page(0, (), ())]
     pages = pages_of(image, path)

@@ -14,7 +14,7 @@ from pipeline.errors import UserError
 from pipeline.formats.exr_frame import exr_frame
 from pipeline.formats.exr_zip import open_zip_exr
 from pipeline.formats.image_parts import Page
-from pipeline.formats.images import first_line, open_image, srgb_decode
+from pipeline.formats.images import open_image, reason_of, srgb_decode
 
 ROWS = 32
 """Two of EXR's zip blocks: a band of nine half floats 4000 pixels wide is 2.3 MB."""
@@ -28,9 +28,7 @@ class LinearReader:
     names, size (width, height), bits (0: float), orientation (EXIF's), exposure_s and encoding are the file's.
     """
 
-    def __init__(
-        self, path: Path, radiometry: RadiometryConfig, sensor_data: bool = False, page: Page | None = None
-    ) -> None:
+    def __init__(self, path: Path, radiometry: RadiometryConfig, sensor_data: bool = False, page: Page | None = None) -> None:
         """Raises UserError where the file is not there, empty or no image, or holds several and none is chosen (`page`)."""
         from pipeline.capture.radiometry.of_file import for_file
 
@@ -120,7 +118,7 @@ class LinearReader:
 
     def _checked(self, samples: Any) -> NDArray[Any]:
         if samples is None:
-            raise self._damage(first_line(self._image.geterror()))
+            raise self._damage(reason_of(self._image))
         return np.asarray(samples)
 
     def _damage(self, reason: str) -> UserError:

@@ -1,51 +1,38 @@
-"""Where versions live, how they are made, found, published and collected."""
+"""Where versions live, how they are made, found, published and put to use."""
 
 from __future__ import annotations
 
 import contextlib
-import fcntl
-import json
 import os
 import shutil
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from pipeline.engine.dataset import description
 from pipeline.engine.dataset.digests import DigestCache
+from pipeline.engine.dataset.documents import sealed, sync, write_whole
+from pipeline.engine.dataset.in_use import LINK, InUse
+from pipeline.engine.dataset.leftovers import clear_leftovers
+from pipeline.engine.dataset.links import holds_what_no_run_leaves, refuse_links
+from pipeline.engine.dataset.locks import open_lock
+from pipeline.engine.dataset.versions import KEY, Version, is_whole, read_version
 from pipeline.errors import UserError
 from pipeline.formats.dataset_files import MANIFEST
-
-SCHEMA = 1
-
-
-DESCRIPTION = "dataset.json"
-
-
-@dataclass(frozen=True)
-class Version:
-    """One published version of one stage's output."""
-
-    stage: str
-    key: str
-    folder: Path
-
-    @property
-    def manifest(self) -> dict[str, Any]:
-        """The manifest that was published with it."""
-        return json.loads((self.folder / MANIFEST).read_text())
 
 
 class Dataset:
     """A dataset directory.
 
-    Layout: `STAGE/KEY/` immutable versions, `STAGE/current` a relative link to the one in use, `dataset.json`. What is
-    being made lies under `.work/STAGE/KEY/` (`output` becomes the version, `scratch` holds checkpoints).
+    Layout: `STAGE/KEY/` immutable versions, `in_use.json` and the relative links `STAGE/current` tell those in use,
+    `dataset.json`. What is being made lies under `.work/STAGE/KEY/` (`output` becomes the version, `scratch` holds
+    checkpoints).
     """
 
     def __init__(self, root: Path) -> None:
         self.root = root
         self.digests = DigestCache(root / ".work" / "digests.json")
+        self.in_use_table = InUse(root)
 
     @classmethod
     def holding(cls, version: Path) -> Dataset:
@@ -54,26 +41,32 @@ class Dataset:
 
     # -- finding ---------------------------------------------------------------------------------------------------
 
+    def read(self, stage: str, key: str) -> Version | None:
+        """The version of that key if its manifest can be read, whole or not; one copied to STAGE/current counts."""
+        folder = self.root / stage / key
+        if not folder.exists() and not (self.root / stage / LINK).is_symlink():
+            folder = self.root / stage / LINK
+        return read_version(stage, key, folder)
+
     def find(self, stage: str, key: str) -> Version | None:
         """The published version of that key, or None; a version with a missing or short file counts as none."""
-        folder = self.root / stage / key
-        try:
-            manifest = json.loads((folder / MANIFEST).read_text())
-            whole = all((folder / o["path"]).stat().st_size == o["bytes"] for o in manifest["outputs"])
-        except (OSError, ValueError, KeyError):
-            return None
-        return Version(stage, key, folder) if whole else None
+        version = self.read(stage, key)
+        return version if version is not None and is_whole(version) else None
 
     def current(self, stage: str) -> Version | None:
-        """The version that `STAGE/current` points to, or None."""
-        link = self.root / stage / "current"
-        return self.find(stage, os.readlink(link)) if link.is_symlink() else None
+        """The version in use, or None."""
+        return next((v for v in (self.find(stage, key) for key in self.in_use_table.keys(stage)) if v), None)
 
     def versions(self, stage: str) -> list[Version]:
         """All whole versions of a stage."""
         folder = self.root / stage
-        keys = sorted(p.name for p in folder.iterdir() if not p.is_symlink()) if folder.is_dir() else []
+        keys = sorted(p.name for p in folder.iterdir() if KEY.fullmatch(p.name)) if folder.is_dir() else []
         return [v for v in (self.find(stage, key) for key in keys) if v]
+
+    def place(self, version: Version) -> Path:
+        """Where a person finds a version: STAGE/current where that is a link to it, else its own folder."""
+        link = self.root / version.stage / LINK
+        return link if link.is_symlink() and os.readlink(link) == version.key else version.folder
 
     def work_folder(self, stage: str, key: str) -> Path:
         """Where a version is made; it outlives a kill."""
@@ -81,15 +74,12 @@ class Dataset:
 
     @property
     def exists(self) -> bool:
-        """Whether the folder is a dataset: it has a description, or work was begun in it."""
-        return (self.root / DESCRIPTION).is_file() or (self.root / ".work").is_dir()
+        """Whether the folder is a dataset: it has a description, tells what is in use, or work was begun in it."""
+        return any((self.root / name).is_file() for name in (description.FILE, "in_use.json")) or (self.root / ".work").is_dir()
 
     def read_description(self) -> dict[str, Any]:
         """`dataset.json`, or an empty dict where there is none."""
-        try:
-            return json.loads((self.root / DESCRIPTION).read_text())
-        except (OSError, ValueError):
-            return {}
+        return description.read_description(self.root)
 
     # -- writing ---------------------------------------------------------------------------------------------------
 
@@ -98,7 +88,8 @@ class Dataset:
         probe = self.root / ".work" / f"probe-{os.getpid()}"
         try:
             probe.parent.mkdir(parents=True, exist_ok=True)
-            probe.write_bytes(b"\0" * 4096)
+            refuse_links(self.root, probe.parent)
+            write_whole(probe, "\0" * 4096)
             probe.unlink()
         except OSError as error:
             with contextlib.suppress(OSError):
@@ -107,87 +98,75 @@ class Dataset:
 
     def write_text(self, path: Path, text: str) -> None:
         """Write a small file whole: aside, synced, renamed. Leaves an equal file untouched."""
-        with contextlib.suppress(OSError):
-            if path.read_text() == text:
-                return
-        path.parent.mkdir(parents=True, exist_ok=True)
-        aside = path.with_name(f".{path.name}.{os.getpid()}")
-        with aside.open("w") as stream:
-            stream.write(text)
-            stream.flush()
-            os.fsync(stream.fileno())
-        aside.replace(path)
+        write_whole(path, text)
 
-    def describe(self, description: Mapping[str, Any]) -> None:
+    def describe(self, facts: Mapping[str, Any]) -> None:
         """Write `dataset.json`."""
-        self.write_text(self.root / DESCRIPTION, json.dumps({"schema": SCHEMA, **description}, indent=1) + "\n")
+        description.write_description(self.root, facts)
 
     def use(self, version: Version) -> None:
-        """Point `STAGE/current` at a version, atomically."""
-        link = self.root / version.stage / "current"
-        if link.is_symlink() and os.readlink(link) == version.key:
-            return
-        aside = link.with_name(f".current.{os.getpid()}")
-        with contextlib.suppress(FileNotFoundError):
-            aside.unlink()
-        aside.symlink_to(version.key)
-        aside.replace(link)
-        _sync(link.parent)
+        """Put a version to use: in_use.json and `STAGE/current` name it."""
+        self.in_use_table.put(version.stage, version.key)
 
     @contextlib.contextmanager
     def in_use(self, alone: bool = False) -> Iterator[bool]:
-        """Hold the dataset open for a run; `alone` asks to be the only one. Yields whether that was granted."""
-        with (self.root / ".work" / "in_use.lock").open("a") as lock:
-            try:
-                fcntl.flock(lock, (fcntl.LOCK_EX if alone else fcntl.LOCK_SH) | fcntl.LOCK_NB)
-            except BlockingIOError:
-                if alone:
-                    yield False
-                    return
-                fcntl.flock(lock, fcntl.LOCK_SH)  # a collection is soon over
-            yield True
+        """Hold the dataset open for a run; `alone` asks to be the only one. Yields whether that was granted.
+
+        Who is the first to come clears what killed runs left, and lets versions that were copied to STAGE/current be found.
+        """
+        with open_lock(self.root / ".work" / "in_use.lock") as lock:
+            first = lock.try_to_take(alone=True)
+            if first:
+                clear_leftovers(self.root, self.find)
+                for folder in self.root.iterdir():
+                    if folder.is_dir() and not folder.is_symlink():
+                        self.in_use_table.adopt(folder.name)
+            if not alone:
+                lock.take(alone=False)  # a collection is soon over
+            yield first or not alone
 
     @contextlib.contextmanager
     def making(self, stage: str, key: str, waiting: Callable[[], None]) -> Iterator[Path]:
         """Hold the right to make one version; yields its work folder.
 
         Another process that makes the same version is waited for (after calling `waiting`); a killed one lets go by
-        dying. Different keys do not wait for each other.
+        dying. Different keys do not wait for each other. Work that holds links, which no run leaves, is begun anew.
         """
         work = self.work_folder(stage, key)
-        work.mkdir(parents=True, exist_ok=True)
-        with (work.parent / f"{key}.lock").open("w") as lock:
-            try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                waiting()
-                fcntl.flock(lock, fcntl.LOCK_EX)
+        refuse_links(self.root, work.parent)
+        work.parent.mkdir(parents=True, exist_ok=True)
+        with open_lock(work.parent / f"{key}.lock") as lock:
+            lock.take(alone=True, waiting=waiting)
+            refuse_links(self.root, work)
+            if work.exists() and (not work.is_dir() or holds_what_no_run_leaves(work)):
+                _remove(work)
             work.mkdir(parents=True, exist_ok=True)
             yield work
 
     def publish(self, stage: str, key: str, output: Path, manifest: Mapping[str, Any]) -> Version:
         """Make `output` the version `stage/key`: manifest added, everything synced, one rename."""
-        (output / MANIFEST).write_text(json.dumps(manifest, indent=1) + "\n")
+        refuse_links(self.root, self.root / stage)
+        write_whole(output / MANIFEST, sealed(dict(manifest)))
         for folder, _, names in os.walk(output):
             for name in names:
-                _sync(Path(folder) / name)
-            _sync(Path(folder))
+                sync(Path(folder) / name)
+            sync(Path(folder))
         target = self.root / stage / key
         target.parent.mkdir(parents=True, exist_ok=True)
-        if target.exists():  # a damaged version, or `find` would have returned it
-            shutil.rmtree(target)
+        if target.exists() or target.is_symlink():  # a damaged version, or `find` would have returned it
+            _remove(target)
         output.rename(target)
-        _sync(target.parent)
-        return Version(stage, key, target)
+        sync(target.parent)
+        return Version(stage, key, target, manifest)
 
     def clear_work(self, stage: str, key: str) -> None:
         """Drop the work folder of a version that has been published."""
         shutil.rmtree(self.work_folder(stage, key), ignore_errors=True)
 
 
-def _sync(path: Path) -> None:
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
+def _remove(path: Path) -> None:
+    """Remove a folder; of a link or a file that alone."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink()

@@ -7,6 +7,9 @@ import os
 import threading
 import time
 from pathlib import Path
+from typing import Any
+
+from pipeline.engine.dataset.documents import read_object
 
 PAGE = os.sysconf("SC_PAGE_SIZE")
 
@@ -51,11 +54,11 @@ class Usage:
 
     def __init__(self, record: Path) -> None:
         self.record = record
-        try:
-            self.before = json.loads(record.read_text())
-        except (OSError, ValueError):
-            self.before = {"started": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()), "wall_s": 0.0, "cpu_s": 0.0}
-            self.before["peak_rss_mb"] = 0.0
+        self.before: dict[str, Any] = {"started": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())}
+        self.before |= {"wall_s": 0.0, "cpu_s": 0.0, "peak_rss_mb": 0.0}
+        earlier = read_object(record) or {}
+        if all(type(earlier.get(name)) is type(value) for name, value in self.before.items()):
+            self.before = earlier
         self.peak = 0
         self.started = time.monotonic()
         self.cpu = self._cpu_s()

@@ -27,12 +27,16 @@ class Proxy:
 
 
 def write_proxies(stage: StageRun, folder: Path, frames: dict[str, dict]) -> list[Proxy]:
-    """Write every decoded view to FOLDER/CAMERA/VIEW.tif; all of a camera share one exposure, so that it is kept."""
+    """Write every decoded view to FOLDER/NUMBER_WxH/VIEW.tif; all of a camera share one exposure, so that it is kept.
+
+    Folders go by the camera's number in sorted order: its name is the capture's, and may be any text, a path too.
+    """
+    number = {camera: k for k, camera in enumerate(sorted({frame["camera"] for frame in frames.values()}))}
     exposure = {camera: _exposure(stage, views) for camera, views in _by_camera(frames).items()}
 
     def one(item: tuple[str, dict]) -> Proxy:
         view, frame = item
-        group = f"{frame['camera']}_{frame['width']}x{frame['height']}"
+        group = f"{number[frame['camera']]:03d}_{frame['width']}x{frame['height']}"
         name = f"{group}/{view.removeprefix(frame['camera'] + '_')}.tif"  # equal names under two cameras: one head
         s0 = _radiance(stage, frame["file"])
         write_tiff(folder / name, encode(s0, exposure[frame["camera"]]))

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.capture.naming.safe_names import environment_name
 from pipeline.engine.stage import StageRun
 from pipeline.formats import dataset_files as files
 from pipeline.formats.backdrop import object_pixels
@@ -103,7 +104,7 @@ def relit_cards(run: StageRun, metrics: dict[str, Any]) -> list[dict[str, Any]]:
     """For every map: the map, and views beside their truth where there is one."""
     truth = run.capture.truth
     longest, out = run.parameters.picture_px, []
-    maps = {p.stem: p for p in run.capture.environments}
+    maps = {environment_name(p): p for p in run.capture.environments}
     for folder in files.subfolders(run.inputs["relight"]):
         pics: list[dict[str, str]] = []
         views = {v: truth.find(f"relight/{folder.name}", v) for v in truth.views if files.relit(folder, v).exists()}

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.capture.light_stage.folders import home_of
+from pipeline.capture.naming.safe_names import environment_name
 from pipeline.engine.stage import StageRun
 from pipeline.formats import dataset_files as files
 from pipeline.formats.ground_truth import camera_maps
@@ -90,7 +91,7 @@ def _in_reading_order(path: Path) -> tuple[str, int]:
 def relit_cards(run: StageRun) -> list[dict[str, Any]]:
     """For every map: the map, and each camera from the frames and from the fitted maps."""
     out = []
-    maps = {p.stem: p for p in run.capture.environments}
+    maps = {environment_name(p): p for p in run.capture.environments}
     for folder in files.subfolders(run.inputs["relight"]):
         pics = []
         for path in sorted(folder.glob("cam*.exr"), key=_in_reading_order):

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from pipeline.errors import UserError
 from pipeline.formats.exr_frame import exr_frame
-from pipeline.formats.images import open_image, read_stored
+from pipeline.formats.images import open_image, read_stored, reason_of
 from stages.olat.reading.scanline_bands import Band, Picked, picked
 from stages.olat.reading.zip_frames import ZipFrames
 
@@ -123,10 +123,9 @@ def read_rows(path: Path, top: int, bottom: int, width: int, height: int, half: 
     else:
         pixels = image.read_scanlines(0, 0, top, bottom, 0, 0, spec.nchannels, kind)
         pixels = None if pixels is None else np.asarray(pixels).reshape(bottom - top, spec.width, -1)
-    error = image.geterror() if pixels is None else ""
+    reason = reason_of(image) if pixels is None else ""
     image.close()
     if pixels is None:
-        reason = (error.strip().splitlines() or ["no reason given"])[0]
         raise UserError(path, f"the image is truncated or corrupt ({reason})", "copy it again from its source")
     return _rgb(pixels, list(spec.channelnames), path).view(np.uint16 if half else np.float32)
 

@@ -1,0 +1,81 @@
+"""Small JSON files of a dataset: read whatever they hold, sealed so that a flipped bit shows, written whole."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+import re
+from pathlib import Path
+from typing import Any
+
+LARGEST = 1 << 28  # bytes; a manifest of a hundred thousand files is 15 MB
+BLANK = "0" * 32
+SEAL = re.compile(rb'"[^"]*": "([^"]{32})"\n?\}\n?$')  # whatever a flipped bit made of the last key and its value
+
+
+def read_object(path: Path) -> dict[str, Any] | None:
+    """The JSON object that a regular file holds, None where there is none: no file, no JSON, nested past all sense, a list."""
+    try:
+        if not path.is_file() or path.stat().st_size > LARGEST:
+            return None
+        value = json.loads(path.read_bytes())
+    except (OSError, ValueError, RecursionError):
+        return None
+    return value if isinstance(value, dict) else None
+
+
+def sealed(value: dict[str, Any], indent: int | None = 1) -> str:
+    """The text of a JSON object with a last key `seal`: the BLAKE2b-128 of the text with zeros in its place."""
+    text = json.dumps({**{k: v for k, v in value.items() if k != "seal"}, "seal": BLANK}, indent=indent) + "\n"
+    before, _, after = text.rpartition(BLANK)
+    return before + _digest(text.encode()) + after
+
+
+def seal_fits(path: Path) -> bool | None:
+    """Whether a file's seal is that of its bytes; None where it has no seal (an older program wrote it) or cannot be read."""
+    try:
+        content = path.read_bytes()
+    except OSError:
+        return None
+    found = SEAL.search(content)
+    if found is None:
+        return None
+    return found[1] == _digest(content[: found.start(1)] + BLANK.encode() + content[found.end(1) :]).encode()
+
+
+def _digest(content: bytes) -> str:
+    return hashlib.blake2b(content, digest_size=16).hexdigest()
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Write a small file whole: aside, synced, renamed. Leaves an equal file untouched, follows no link."""
+    with contextlib.suppress(OSError, ValueError):
+        if not path.is_symlink() and path.read_text() == text:
+            return
+    path.parent.mkdir(parents=True, exist_ok=True)
+    aside = path.with_name(f".{path.name}.{os.getpid()}")
+    with contextlib.suppress(FileNotFoundError):
+        aside.unlink()
+    try:
+        handle = os.open(aside, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666)
+        with open(handle, "w") as stream:
+            stream.write(text)
+            stream.flush()
+            os.fsync(stream.fileno())
+        aside.replace(path)
+    except BaseException:
+        with contextlib.suppress(OSError):
+            aside.unlink()
+        raise
+    sync(path.parent)
+
+
+def sync(path: Path) -> None:
+    """Have a file, or a folder's entries, on the disk."""
+    handle = os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
