@@ -19,8 +19,8 @@ import numpy as np
 
 from benchmarks import olat_forms, olat_frames, olat_noise, olat_plots, olat_zoo
 from benchmarks.olat_settings import AT, SETTINGS, timed
+from pipeline.rig.light_table_files import table_from_positions
 from pipeline.rig.solid_angles import solid_angles
-from pipeline.rig.tables import table_from_positions
 from stages.olat.pixel_fit.many_pixels import fit
 from stages.olat.pixel_fit.result_layout import FLAG
 from stages.olat.zoo.solvers import SOLVERS

@@ -11,7 +11,7 @@ from pipeline.capture.layouts import all_layouts
 from pipeline.capture.model import Capture
 from pipeline.capture.naming.safe_names import refuse_special_files
 from pipeline.capture.recognition.foreign import foreign_warnings, refuse_unreadable
-from pipeline.capture.recognition.told_tables import refuse_idle_tables
+from pipeline.capture.recognition.idle_tables import refuse_idle_tables
 from pipeline.errors import UserError
 from pipeline.geometry.camera_check import refuse_one_place
 

@@ -17,7 +17,7 @@ from pipeline.formats.dataset_files import MASKS
 from pipeline.formats.images import read_stokes, write_png
 from pipeline.geometry.cameras import Camera
 from pipeline.geometry.lens import frame_table, frames_folder, lenses
-from pipeline.geometry.worlds import ONE_WORLD
+from pipeline.geometry.separate_worlds import ONE_WORLD
 from stages.masks.given import THRESHOLD, GivenMask, read_given
 from stages.masks.parameters import choose_method
 

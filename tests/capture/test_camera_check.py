@@ -11,7 +11,7 @@ from pipeline.capture import open_capture
 from pipeline.errors import UserError
 from pipeline.formats.images import write_png
 from pipeline.geometry.cameras import Camera, frame_of
-from pipeline.geometry.worlds import two_worlds
+from pipeline.geometry.separate_worlds import two_worlds
 
 
 def ring(count=9, radius=4.0, size=16, name="camera"):

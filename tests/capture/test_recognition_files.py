@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pipeline.capture import open_capture
-from pipeline.capture.recognition.strangers import sort_out
+from pipeline.capture.recognition.stray_files import sort_out
 from pipeline.errors import UserError
 from synth import ball
 

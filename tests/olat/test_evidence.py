@@ -12,7 +12,7 @@ from pipeline.rig.solid_angles import fibonacci_sphere
 from stages.olat.evidence.after_fits import Verdict
 from stages.olat.evidence.before_fits import Seen, explain, say_brightness, say_frame
 from stages.olat.evidence.light_frame import spoken, turns
-from stages.olat.evidence.light_table import table_faults
+from stages.olat.evidence.light_table_faults import table_faults
 from stages.olat.evidence.pass_check import compare, pass_faults
 from stages.olat.pixel_fit.result_layout import AWAY, FLAG, NO_LOBE, RESIDUAL, WIDTH
 

@@ -16,7 +16,7 @@ from pipeline.capture.naming.pages import paged
 from pipeline.capture.pixels.stokes_files import holds_stokes, stokes_exr_loader
 from pipeline.capture.radiometry.found import understand
 from pipeline.capture.recognition.mosaic_set import STRAYS, mosaic_set
-from pipeline.capture.recognition.strangers import left_out_line
+from pipeline.capture.recognition.stray_files import left_out_line
 from pipeline.errors import UserError
 from pipeline.formats.image_parts import Page
 from pipeline.formats.images import channel_names, image_size

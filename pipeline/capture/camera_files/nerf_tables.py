@@ -10,7 +10,7 @@ from typing import Any
 
 from pipeline.capture.camera_files.table import entries_of, stem_parts
 from pipeline.capture.naming.files import IMAGE_SUFFIXES, image_folder, list_images
-from pipeline.capture.recognition.strangers import sort_out
+from pipeline.capture.recognition.stray_files import sort_out
 from pipeline.errors import UserError
 from pipeline.formats.json_file import read_json
 

@@ -7,8 +7,8 @@ from pathlib import Path
 from pipeline.capture.config import CaptureConfig
 from pipeline.capture.layouts import Layout
 from pipeline.capture.layouts.photographs import recognise as has_pictures
+from pipeline.capture.light_stage.find_light_table import table_beside
 from pipeline.capture.light_stage.folders import PASSES, pass_of, stage_folders
-from pipeline.capture.light_stage.tables import table_beside
 from pipeline.capture.model import Capture
 from pipeline.errors import UserError
 

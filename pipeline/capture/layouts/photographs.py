@@ -24,7 +24,7 @@ from pipeline.capture.naming.files import (
 )
 from pipeline.capture.naming.grouping import Group
 from pipeline.capture.recognition.one_framing import changes_light
-from pipeline.capture.recognition.strangers import sort_out
+from pipeline.capture.recognition.stray_files import sort_out
 from pipeline.errors import UserError
 from pipeline.formats.bare_arrays import ARRAY_SUFFIXES
 

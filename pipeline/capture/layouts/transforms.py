@@ -26,7 +26,7 @@ from pipeline.capture.naming.files import (
     sorted_views,
 )
 from pipeline.capture.naming.grouping import Group
-from pipeline.capture.recognition.strangers import sort_out
+from pipeline.capture.recognition.stray_files import sort_out
 from pipeline.errors import UserError
 from pipeline.formats.bare_arrays import ARRAY_SUFFIXES
 from pipeline.formats.images import channel_names, image_size

@@ -20,11 +20,11 @@ from pipeline.capture.naming.files import (
     polariser_priors,
     sorted_views,
 )
-from pipeline.capture.recognition.strangers import sort_out
+from pipeline.capture.recognition.stray_files import sort_out
 from pipeline.errors import UserError
 from pipeline.formats.colmap import find_model
 from pipeline.geometry.cameras import Camera
-from pipeline.geometry.worlds import ONE_WORLD, two_worlds
+from pipeline.geometry.separate_worlds import ONE_WORLD, two_worlds
 
 
 def recognise(root: Path) -> bool:

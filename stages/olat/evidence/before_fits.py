@@ -34,7 +34,7 @@ from stages.olat.evidence.light_frame import (
     spacing,
     spoken,
 )
-from stages.olat.evidence.light_table import table_faults
+from stages.olat.evidence.light_table_faults import table_faults
 from stages.olat.evidence.outline import outward
 from stages.olat.evidence.pass_check import compare, pass_faults
 from stages.olat.pixel_fit.many_pixels import half_table

@@ -10,7 +10,6 @@ from pipeline.kernels.compiling import kernel
 from pipeline.kernels.numerics import FAST, HALF, ONE, ZERO
 from pipeline.kernels.scratch import matrix, vector
 from pipeline.rig.lobes import VIEW_FLOOR, normal_equations, values
-from stages.olat.pixel_fit.determined import NEAREST, SURE, deviation, nearest, strong
 from stages.olat.pixel_fit.diffuse import fit_normal
 from stages.olat.pixel_fit.fit_options import CORRELATION, JOINT, ROUND
 from stages.olat.pixel_fit.light_visibility import behind, diffuse_maps, printed_maps, specular_maps
@@ -46,6 +45,7 @@ from stages.olat.pixel_fit.result_layout import (
 )
 from stages.olat.pixel_fit.separation import separate
 from stages.olat.pixel_fit.specular import LOBE_FRACTION, frame_about, half_vectors, start_normal, sums, widths
+from stages.olat.pixel_fit.uncertainty import NEAREST, SURE, deviation, nearest, strong
 
 BAD_SHARE = 0.1  # of a pixel's samples that may be not finite before the pixel is flagged
 NOISE_FLOOR = 1e-3  # of the brightest sample: half floats are this coarse

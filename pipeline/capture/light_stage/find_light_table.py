@@ -36,8 +36,8 @@ def _subfolders(root: Path) -> list[Path]:
 
 def read_light_table(root: Path, config: CaptureConfig) -> tuple[LightTable, list[Path]]:
     """The lights, and the files that they were read from, the last of them named in errors. Raises UserError."""
-    from pipeline.rig.named_tables import INTENSITIES, NAMES, read_directions, read_lp
-    from pipeline.rig.tables import LSX3_POSITIONS, LSX3_SPIRAL, read_lights_csv, read_lsx3
+    from pipeline.rig.light_table_files import LSX3_POSITIONS, LSX3_SPIRAL, read_lights_csv, read_lsx3
+    from pipeline.rig.lp_light_tables import INTENSITIES, NAMES, read_directions, read_lp
 
     lsx3 = [root / LSX3_POSITIONS, root / LSX3_SPIRAL]
     path: Path | None = root / config.olat.lights if config.olat.lights is not None else None

@@ -9,7 +9,7 @@ import numpy as np
 
 from pipeline.capture.model import LightTable
 from pipeline.errors import UserError
-from pipeline.rig.tables import table_from_positions
+from pipeline.rig.light_table_files import table_from_positions
 
 DIRECTIONS, INTENSITIES, NAMES = "light_directions.txt", "light_intensities.txt", "filenames.txt"
 
