@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from benchmarks.olat_settings import AT, SETTINGS, timed
 from pipeline.capture import open_capture
-from pipeline.capture.model import LightTable
 from pipeline.formats.images import read_image
+from pipeline.rig.light_table import LightTable
 from pipeline.rig.solid_angles import solid_angles
 from stages.olat.pixel_fit.many_pixels import fit
 from synth.olat_pixels import Pixels, angle_deg, make, unit

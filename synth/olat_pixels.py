@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.capture.model import LightTable
+from pipeline.rig.light_table import LightTable
 from pipeline.rig.solid_angles import fibonacci_sphere, solid_angles
 
 Float = NDArray[np.float64]

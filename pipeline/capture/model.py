@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pipeline.capture.config import CaptureConfig
 from pipeline.formats.ground_truth import Truth
 from pipeline.geometry.cameras import Camera
+from pipeline.rig.light_table import LightTable
 
 Polarisation = Literal["stokes", "polarisers", "none"]
 """What is known of a view's polarisation: its Stokes vectors, its radiance behind a polariser, or nothing."""
@@ -73,23 +74,6 @@ class ViewSource:
     def read(self) -> DecodedView:
         """Decode this view. Raises UserError naming the file that is unreadable, truncated or of another size."""
         return self.loader()
-
-
-@dataclass(frozen=True)
-class LightTable:
-    """Directions from the stage's centre to each light (world, unit) [N, 3], positions [N, 3] in world units,
-    relative intensity [N], solid angle [N] in sr (None: to be computed from the directions). index [N]: the table's own
-    number of each light, which its frame bears (None: 0..N-1); names: the file of each light's frame, where it tells."""
-
-    directions: NDArray[np.float64]
-    positions: NDArray[np.float64]
-    intensity: NDArray[np.float64]
-    solid_angle: NDArray[np.float64] | None = None
-    index: NDArray[np.int64] | None = None
-    names: tuple[str, ...] | None = None
-
-    def __len__(self) -> int:
-        return len(self.directions)
 
 
 @dataclass(frozen=True)

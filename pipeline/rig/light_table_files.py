@@ -1,4 +1,4 @@
-"""Light tables on disk: the LSX3 stage's two text files, and a `lights.csv` for any other rig.
+"""Light tables on disk: the LSX3 stage's two text files, and a `lights.csv` for any other rig (`lp_light_tables`: .lp lists).
 
 Light k is always the k-th frame of a pass. Directions point from the stage's centre to the light, in the world of the cameras.
 """
@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.capture.model import LightTable
 from pipeline.errors import UserError
+from pipeline.rig.light_table import LightTable
 
 LSX3_POSITIONS = "LSX3_light_positions.txt"
 LSX3_SPIRAL = "LSX3_light_z_spiral.txt"

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.capture.model import LightTable
 from pipeline.errors import UserError
+from pipeline.rig.light_table import LightTable
 from pipeline.rig.light_table_files import table_from_positions
 
 DIRECTIONS, INTENSITIES, NAMES = "light_directions.txt", "light_intensities.txt", "filenames.txt"

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.capture.model import LightTable
 from pipeline.engine.stage import StageRun
 from pipeline.geometry.cameras import Camera
+from pipeline.rig.light_table import LightTable
 from pipeline.rig.lobe_names import LOBES
 from pipeline.rig.solid_angles import solid_angles
 from stages.olat.evidence.after_fits import Verdict

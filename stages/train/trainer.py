@@ -1,4 +1,4 @@
-"""The optimisation itself: one view a step, everything at once."""
+"""One step of the optimisation: one view, everything at once (`training_loop` repeats it)."""
 
 from __future__ import annotations
 

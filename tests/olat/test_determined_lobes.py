@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pipeline.capture.model import LightTable
+from pipeline.rig.light_table import LightTable
 from pipeline.rig.lobe_names import LOBES
 from stages.olat.pixel_fit.result_layout import AWAY, FLAG, GOOD, OUTSIDE, TOO_FEW, map_slices
 from synth.olat_pixels import angle_deg, make, rig_of, unit

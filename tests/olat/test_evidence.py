@@ -6,8 +6,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from pipeline.capture.model import LightTable
 from pipeline.errors import UserError
+from pipeline.rig.light_table import LightTable
 from pipeline.rig.solid_angles import fibonacci_sphere
 from stages.olat.evidence.after_fits import Verdict
 from stages.olat.evidence.before_fits import Seen, explain, say_brightness, say_frame

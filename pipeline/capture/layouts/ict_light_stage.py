@@ -14,12 +14,13 @@ from pipeline.capture.layouts import Layout
 from pipeline.capture.light_stage.find_light_table import read_light_table, table_beside
 from pipeline.capture.light_stage.folders import PASSES, CameraFolders, camera_file, stage_folders
 from pipeline.capture.light_stage.frames import PassFrames, left_out_fact, pass_frames
-from pipeline.capture.model import Capture, LightStage, LightStageCamera, LightTable
+from pipeline.capture.model import Capture, LightStage, LightStageCamera
 from pipeline.capture.naming.files import find_environments
 from pipeline.errors import UserError
 from pipeline.geometry.camera_check import check_camera
 from pipeline.geometry.cameras import OPENGL_FROM_OPENCV, Camera
 from pipeline.geometry.straight_camera import unreached
+from pipeline.rig.light_table import LightTable
 
 FORMAT = "add it (lines #focal length, #principal point, #resolution, #distortion coeffs, MATRIX :), or remove the folder"
 

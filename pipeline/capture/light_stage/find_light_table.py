@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from pipeline.capture.config import CaptureConfig
-from pipeline.capture.model import LightTable
 from pipeline.errors import UserError
+from pipeline.rig.light_table import LightTable
 
 CSV, DIRECTIONS = "lights.csv", "light_directions.txt"
 SIGNS = (CSV, DIRECTIONS, "light_positions.txt", "LSX3_light_positions.txt", "LSX3_light_z_spiral.txt", "light_intensities.txt")

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.capture.light_stage.frame_numbers import frame_files, numbered
-from pipeline.capture.model import LightTable
 from pipeline.capture.naming.files import IMAGE_SUFFIXES, some
 from pipeline.errors import UserError
+from pipeline.rig.light_table import LightTable
 
 LEADING_FRAMES = 2
 """A pass begins with two frames under all lights (tracking), then one frame a light; two more may follow."""

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.capture.model import LightTable
 from pipeline.engine.stage import StageRun
 from pipeline.errors import UserError
+from pipeline.rig.light_table import LightTable
 from stages.olat.evidence.frame_order import (
     CLEARLY,
     DOUBTFUL,

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.capture.model import LightTable
 from pipeline.capture.naming.files import some
+from pipeline.rig.light_table import LightTable
 
 SAME_RAD = 1e-4  # between two lights of one place: tables are printed with four digits or more
 NARROW = 5.0

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.capture.model import LightTable
 from pipeline.kernels import native
+from pipeline.rig.light_table import LightTable
 from stages.olat.pixel_fit.fit_options import WORKSPACE_PER_LIGHT, FitOptions
 from stages.olat.pixel_fit.result_layout import WIDTH
 

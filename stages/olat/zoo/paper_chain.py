@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.capture.model import LightTable
+from pipeline.rig.light_table import LightTable
 from stages.olat.pixel_fit.fit_options import FitOptions
 from stages.olat.pixel_fit.many_pixels import half_table
 from stages.olat.pixel_fit.result_layout import map_slices
