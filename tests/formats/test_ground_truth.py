@@ -47,7 +47,7 @@ def test_every_file_of_ground_truth_is_listed_and_nothing_else(tmp_path: Path) -
     assert listed == {"gt/mesh.ply", "gt/relight/studio/a.exr", "gt_brdf.json", "cam00/gt/maps.npz"}
     for damaged in (b"{}", b"", b"PK\x03\x04 cut off"):
         (tmp_path / "cam00/gt/maps.npz").write_bytes(damaged)
-        with pytest.raises(UserError, match=r"maps\.npz: cannot be read"):
+        with pytest.raises(UserError, match=r"maps\.npz: (cannot be read|the file is empty)"):
             camera_maps(tmp_path / "cam00")
     assert camera_maps(tmp_path / "cam01") is None
 
