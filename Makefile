@@ -47,8 +47,9 @@ demo: $(READY)  ## a tiny synthetic capture through every stage
 	$(BIN)/polarfield all "$$DEMO/captures/stage" --dataset "$$DEMO/stage" --device "$$DEVICE"
 	@echo "reports: $$DEMO/views/metrics/current/report.html and $$DEMO/stage/metrics/current/report.html"
 
-# One torch thread for the fast tests: their tensors are small, and threads that wait for each other cost three times the time.
-FAST = OMP_NUM_THREADS=1 $(BIN)/python -m pytest -m "not slow"
+# One thread for each fast test, as many at once as there are cores: their arrays are small, and threads that wait for each other
+# cost three times the time.
+FAST = OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 $(BIN)/python -m pytest -m "not slow" -n auto --dist worksteal
 
 test: $(READY) lint  ## everything, fast tests first
 	$(FAST)

@@ -50,6 +50,7 @@ def test_a_kernel_with_arrays_of_its_own_is_refused():
         native.machine_code(_copies, (types.int64, types.CPointer(types.float64)))
 
 
+@pytest.mark.slow
 def test_the_olat_fit_runs_without_numba_once_it_is_compiled():
     code = (
         "import sys, numpy as np\n"
