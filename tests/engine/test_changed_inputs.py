@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -58,7 +59,10 @@ def test_a_stage_that_fails_because_its_file_changed_says_that(command, capture,
 def test_what_killed_runs_left_is_cleared(command, capture):
     command("all", capture.root, "--dataset", "d")
     key = os.readlink("d/count/current")
-    names = [".dataset.json.77", ".in_use.json.77", ".work/probe-77", ".work/.digests.json.77", "count/.current.77"]
+    gone = subprocess.Popen(["true"])
+    gone.wait()
+    patterns = (".dataset.json.{}", ".in_use.json.{}", ".work/probe-{}", ".work/.digests.json.{}", "count/.current.{}")
+    names = [pattern.format(gone.pid) for pattern in patterns]
     for name in names:
         Path("d", name).touch()
     Path(f"d/.work/count/{key}/scratch").mkdir(parents=True)
@@ -66,6 +70,14 @@ def test_what_killed_runs_left_is_cleared(command, capture):
     assert command("all", "--dataset", "d").ran == []
     assert not [n for n in names if Path("d", n).exists()] and not Path(f"d/.work/count/{key}").exists()
     assert Path("d/.work/double/0123456789abcdef/scratch").exists()
+
+
+def test_what_a_run_beside_is_about_to_rename_stays(command, capture):
+    command("all", capture.root, "--dataset", "d")
+    aside = Path("d", f".dataset.json.{os.getppid()}")
+    aside.touch()
+    command("all", "--dataset", "d")
+    assert aside.exists()
 
 
 def test_faults_of_the_disk_are_one_line(command, refused, capture, stages):

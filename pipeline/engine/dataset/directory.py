@@ -90,7 +90,7 @@ class Dataset:
             probe.parent.mkdir(parents=True, exist_ok=True)
             refuse_links(self.root, probe.parent)
             write_whole(probe, "\0" * 4096)
-            probe.unlink()
+            probe.unlink(missing_ok=True)
         except OSError as error:
             with contextlib.suppress(OSError):
                 probe.unlink()
