@@ -69,3 +69,11 @@ def test_an_even_background_is_no_clipping():
     image = np.full((64, 64), 30000, np.uint16)
     image[20:40, 20:40] = np.arange(400).reshape(20, 20) * 50
     assert code_range([image]) is None
+
+
+def test_a_white_level_beyond_every_code_marks_nothing_as_saturated():
+    from pipeline.capture.config import RadiometryConfig
+    from pipeline.capture.pixels.row_bands import code_table
+
+    table, limit = code_table(8, RadiometryConfig(white_level=1e300), "linear")
+    assert limit == len(table) and np.isfinite(table).all()

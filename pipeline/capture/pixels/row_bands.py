@@ -130,7 +130,8 @@ def code_table(bits: int, radiometry: RadiometryConfig, encoding: str) -> tuple[
     codes = np.arange(2**bits, dtype=np.float64)
     white = float(codes[-1]) if radiometry.white_level is None else radiometry.white_level
     black = radiometry.black_level or 0.0
-    limit = int(np.ceil(_saturation(radiometry, encoding) * white - 1e-6))  # a product may miss a code by its last bit
+    level = min(_saturation(radiometry, encoding) * white, 2.0**bits)  # above the codes: none is saturated
+    limit = int(np.ceil(level - 1e-6))  # a product may miss a code by its last bit
     linear = (codes - black) / (white - black)
     return (srgb_decode(linear) if encoding == "srgb" else linear).astype(np.float32), limit
 
