@@ -4,7 +4,9 @@
 
 DIR holds captures with `gt/` (or the environment variable POLARFIELD_CAPTURES). Each capture with full Stokes images is
 trained as it is, as if photographed behind two polarisers of unknown angle (23 and 110 degrees, alternating views), and
-as plain colour; then, for fewer steps, with one piece of the method changed at a time. Writes train.json and train.png.
+as plain colour; then, for fewer steps, with one piece of the method changed at a time. Captures in which concavities were
+found are trained once more without the search for them, for all steps: fewer end before the first. Writes train.json and
+train.png. With --resume, runs in OUT/train.json that were made with other parameters than today's are made anew.
 """
 
 from __future__ import annotations
@@ -39,10 +41,11 @@ ABLATIONS: dict[str, dict[str, Any]] = {
     "Schlick": {"fresnel": "schlick"},
     "GGX lobe": {"lobe": "ggx"},
     "no occlusion": {"occlusion": False},
-    "no concavities": {"concavities": "off"},
     "environment 16": {"environment_resolution": 16},
     "environment 64": {"environment_resolution": 64},
 }
+
+NO_CONCAVITIES = "no concavities"  # to be held against the run "stokes"
 
 
 def sources_of(folder: Path, scratch: Path) -> tuple[list[Any], str, str]:
@@ -169,6 +172,7 @@ def train_once(
             curve.append(row)
             print("   ", {k: round(v, 3) for k, v in row.items()}, flush=True)
     result: dict[str, Any] = {"parameters": asdict(parameters), "curve": curve, "splats": len(trainer.scene.model)}
+    result["hollowed"] = [round(share, 4) for share in trainer.upkeep.hollowed]
     if trainer.scene.bank is not None:
         states = trainer.scene.bank.result()
         result["angle_error_deg"] = {n: abs((states[n].angle_deg - t + 90) % 180 - 90) for n, t in ANGLES_DEG.items()}
@@ -214,7 +218,7 @@ def main() -> None:
     parser.add_argument("--only", nargs="*", default=[], help="capture names")
     parser.add_argument("--iterations", type=int, default=0, help="steps a run; 0 = the default")
     parser.add_argument("--quick", action="store_true", help="modes only, no ablations")
-    parser.add_argument("--resume", action="store_true", help="keep the runs that OUT/train.json holds, do the others")
+    parser.add_argument("--resume", action="store_true", help="keep runs of today's parameters in OUT/train.json")
     arguments = parser.parse_args()
     if arguments.captures is None:
         parser.error("say where the captures are: --captures DIR or POLARFIELD_CAPTURES")
@@ -229,17 +233,39 @@ def main() -> None:
         truth, mode, up = sources_of(folder, arguments.out / "train-inputs")
         if mode != "stokes":
             continue
-        runs = results.setdefault(folder.name, {})
-        jobs: list[tuple[str, str, dict[str, Any]]] = [(m, m, {}) for m in MODES]
-        pieces = {} if arguments.quick else ABLATIONS
-        jobs += [(name, "stokes", {"iterations": PIECES_STEPS} | changes) for name, changes in pieces.items()]
-        for name, as_what, changes in jobs:
-            if name in runs:
+        jobs = planned(fixed)
+        earlier = results.get(folder.name, {})
+        runs = results[folder.name] = {n: run for n, run in earlier.items() if n in jobs and made_today(run, jobs[n][1])}
+        for name, (as_what, changes) in jobs.items():
+            if name in runs or (arguments.quick and name not in MODES):
                 continue
+            if name == NO_CONCAVITIES and not found_concavities(runs["stokes"]):
+                continue  # there is nothing to switch off
             print(f"{folder.name}: {name}", flush=True)
-            runs[name] = train_once(as_mode(truth, as_what), truth, as_what, up, folder, changes | fixed, 4)
+            runs[name] = train_once(as_mode(truth, as_what), truth, as_what, up, folder, changes, 4)
             save(results, arguments.out)
     save(results, arguments.out)
+
+
+def planned(fixed: dict[str, Any]) -> dict[str, tuple[str, dict[str, Any]]]:
+    """Every run by name: the mode of its data, and how its parameters differ from the defaults; `fixed` are those of all."""
+    jobs: dict[str, tuple[str, dict[str, Any]]] = {mode: (mode, fixed) for mode in MODES}
+    jobs[NO_CONCAVITIES] = ("stokes", {"concavities": "off"} | fixed)
+    return jobs | {name: ("stokes", {"iterations": PIECES_STEPS} | changes | fixed) for name, changes in ABLATIONS.items()}
+
+
+def found_concavities(run: dict[str, Any]) -> bool:
+    """Whether a search moved the surface."""
+    from stages.train.upkeep import LEAST_CONCAVITY
+
+    return max(run["hollowed"], default=0.0) >= LEAST_CONCAVITY
+
+
+def made_today(run: dict[str, Any], changes: dict[str, Any]) -> bool:
+    """Whether a stored run had the parameters that it would have today, and says what is asked of it."""
+    from stages.train.parameters import TrainParameters
+
+    return run["parameters"] == asdict(replace(TrainParameters(), **changes)) and "hollowed" in run
 
 
 if __name__ == "__main__":

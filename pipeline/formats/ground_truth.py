@@ -32,12 +32,16 @@ class Truth:
         paths = [self.root / FOLDER / kind / f"{name}.{suffix}" for name in names]
         return next((path for path in paths if path.is_file()), None)
 
+    def view_of(self, name: str) -> str | None:
+        """The view that an image gt/KIND/NAME.exr is of, by its name or its place in sorted order (007); None if of none."""
+        if name in self.views:
+            return name
+        return next((view for k, view in enumerate(self.views) if f"{k:03d}" == name), None)
+
     def images(self, kind: str) -> Iterator[tuple[str, Path]]:
         """Every (view, gt/KIND/*.exr) that is of a view of this capture, by file name."""
-        by_place = {f"{k:03d}": view for k, view in enumerate(self.views)}
         for path in sorted((self.root / FOLDER / kind).glob("*.exr")):
-            view = path.stem if path.stem in self.views else by_place.get(path.stem)
-            if view is not None:
+            if (view := self.view_of(path.stem)) is not None:
                 yield view, path
 
     def normal(self, view: str) -> NDArray[np.float32] | None:

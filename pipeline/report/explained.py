@@ -15,14 +15,15 @@ from numpy.typing import NDArray
 
 GAMMA = 1 / 2.4  # sRGB's exponent
 DARK = 0.02  # of the mean radiance, added before encoding: noise in the dark is no contrast
-FEWEST = 30  # pixels, below which a view tells nothing
+FEWEST = 30  # pixels, below which a view tells nothing: a correlation of nothing then scatters by 1/sqrt(30), 0.18
 LIKE = 0.5
 """Correlation of model and picture from which the model counts: 0.5 is a quarter of the variance. Sound captures have 0.75
 after 60 steps, 0.8 to 0.97 when trained; metal, a mirror, glass and exchanged cameras 0.3 to 0.4."""
-NEAR = 0.1  # mean difference below which a picture without contrast is explained, whatever its correlation
+NEAR = 0.1  # mean difference below which a picture is explained whatever its correlation: what sound models end at, by OFF
 OFF = 0.28
 """Mean difference over the mean, encoded, above which the model misses: a factor of 1.8 in radiance. Sound captures have 0.26
 after 60 steps, 0.04 to 0.09 when trained; a scene under one lamp or a naked sun 0.3 to 0.4."""
+CONTRAST = 2.0  # times the noise of a pixel's mean over its channels: less variation over a picture is noise as well
 UNEXPLAINED = 1.0
 """Square error of s1 and s2 over their own square: above it no polarisation at all would explain them better. Trained models
 have 0.2, half-trained ones 0.85; a mirrored or turned Stokes frame 1.1 to 1.2."""
@@ -55,8 +56,9 @@ def explained(
     off = float(np.abs(gain * a - b).mean() / b.mean())
     off = float(np.sqrt(max(off**2 - by_noise**2, 0.0)))
     x, y = a.mean(-1), b.mean(-1)
-    above_noise = y.std() > 2 * by_noise * y.mean() / np.sqrt(3) and x.std() > 0
-    likeness = float(np.corrcoef(x, y)[0, 1]) if above_noise else (0.0 if y.std() > 2 * by_noise * y.mean() else None)
+    likeness = None
+    if y.std() > CONTRAST * by_noise * y.mean() / np.sqrt(3):
+        likeness = float(np.corrcoef(x, y)[0, 1]) if x.std() > 0 else 0.0  # a model without contrast is like nothing
     return Explained(likeness, off, None if polarised is None else _unexplained(*polarised, noise))
 
 

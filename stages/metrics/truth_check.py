@@ -15,6 +15,8 @@ from pipeline.formats.arrays import array_names, array_shape
 from pipeline.formats.images import channel_names, image_size, read_image
 from pipeline.formats.json_file import read_json
 
+from .mesh_figures import read_mesh
+
 MEND = "mend or remove it"
 CHANNELS = {"normal": ("X", "Y", "Z"), "relight": ("S0.R", "S0.G", "S0.B")}
 """Of the images in gt/FOLDER that are compared with."""
@@ -26,7 +28,7 @@ READ_S = 15.0
 
 def check_truth(capture: Capture, files: Iterable[Path]) -> None:
     """Raise UserError naming the first of the ground truth's files that metrics could not use."""
-    root = capture.root
+    root, truth = capture.root, capture.truth
     sizes = {v.view: v.size for v in capture.views}
     started = time.monotonic()
     for path in files:
@@ -36,26 +38,18 @@ def check_truth(capture: Capture, files: Iterable[Path]) -> None:
         elif path.suffix == ".json":
             _check_document(path)
         elif parts == ("gt", "mesh.ply"):
-            _check_mesh(path)
+            read_mesh(path)
         elif parts == ("gt", "env.hdr") or (parts[1] in CHANNELS and path.suffix == ".exr"):
-            _check_image(path, parts[1], sizes, time.monotonic() - started < READ_S)
+            size = sizes.get(truth.view_of(path.stem) or "")
+            _check_image(path, parts[1], size, time.monotonic() - started < READ_S)
 
 
-def _check_image(path: Path, kind: str, sizes: dict[str, tuple[int, int] | None], whole: bool) -> None:
+def _check_image(path: Path, kind: str, size: tuple[int, int] | None, whole: bool) -> None:
     channels = CHANNELS.get(kind, ("R", "G", "B"))
     have = {name.lower() for name in channel_names(path)}
     missing = [c for c in channels if c.lower() not in have]
     if missing:
         raise UserError(path, f"has no channel {', '.join(missing)}", MEND)
-    names = sorted(sizes)
-    view = (
-        path.stem
-        if path.stem in sizes
-        else names[int(path.stem)]
-        if path.stem.isdigit() and int(path.stem) < len(names)
-        else ""
-    )
-    size = sizes.get(view)
     if kind == "relight" and size is not None and image_size(path) != size:
         have_size, want = (f"{w}x{h}" for w, h in (image_size(path), size))
         raise UserError(path, f"is {have_size}, its view {want}", "render it in the view's size, or remove it")
@@ -106,24 +100,6 @@ def _check_document(path: Path) -> None:
             raise UserError(path, f"the angle of {wrong} is not a number", MEND)
     elif wrong := next((k for k in ("ior", "alpha") if table.get(k) is not None and not _positive(table[k])), None):
         raise UserError(path, f"{wrong} is not a number above 0", MEND)
-
-
-def _check_mesh(path: Path) -> None:
-    """The header of a PLY: it has vertices and faces."""
-    with path.open("rb") as stream:
-        head = stream.read(1 << 16)
-    text, end, _ = head.partition(b"end_header")
-    counts = {}
-    for line in text.splitlines():
-        words = line.split()
-        if len(words) == 3 and words[0] == b"element" and words[2].isdigit():
-            counts[words[1]] = int(words[2])
-    if not head.startswith(b"ply") or not end:
-        raise UserError(path, "is not a PLY file", MEND)
-    if not counts.get(b"vertex") or not counts.get(b"face"):
-        raise UserError(path, "holds no triangle", MEND)
-    if path.stat().st_size < len(text) + 6 * counts[b"face"]:
-        raise UserError(path, f"ends early: it tells of {counts[b'face']} faces", "copy it again from its source")
 
 
 def _number(value: Any) -> bool:

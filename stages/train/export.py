@@ -67,7 +67,7 @@ def view_channels(rendered: Rendered, view: View, frame: SceneFrame) -> dict[str
 def with_normals(
     channels: dict[str, np.ndarray], normals: torch.Tensor, view: View, frame: SceneFrame
 ) -> dict[str, np.ndarray]:
-    """The channels with these normals [P, 3] of the view's counting pixels (`render.mean_normals`) where there are any."""
+    """The channels with these normals [P, 3] of the view's counting pixels (`render_view.mean_normals`) where there are any."""
     found = normals.cpu().numpy()
     there = (found != 0).any(-1)
     rows = view.pixels.cpu().numpy()[there]

@@ -87,7 +87,7 @@ def mean_normals(splats: Splats, view: View, backend: str, openings: bool) -> to
 
     A pixel's colour is the mean over its area, and so is the normal of what it shows: that at its centre is off by two
     thirds of a degree on a true surface. With `openings`, where no outer side is in the way of a splat that turns its
-    back, its outward normal counts, which faces away from the camera: see `data.opening_pixels`.
+    back, its outward normal counts, which faces away from the camera: see `views.opening_pixels`.
     """
     faces = _faces(splats, view)
     sides = [faces, ~faces] if openings else [faces]

@@ -12,7 +12,7 @@ from .parameters import TrainParameters
 from .render_view import LEAST_ALPHA, Rendered, rasterise_view, render_view
 from .scene import Scene
 from .splats.gaussians import ROUGHNESS_FLOOR, Splats
-from .splats.splat_occlusion import LEAST_BLOCKED, carried_hull, trace_pixels, trace_splats, view_occlusion
+from .splats.splat_occlusion import LEAST_BLOCKED, carried_hull, trace_pixels, trace_splats
 from .views.view import View
 
 
@@ -87,4 +87,4 @@ class Renderer:
             self.parameters.seed,
             self.parameters.fresnel,
         )
-        return view_occlusion(g.extra[:, :3], g.extra[:, 3:], unblocked, seen)
+        return Occlusion(shadow=g.extra[:, :3], bounced=g.extra[:, 3:], unblocked=unblocked, seen=seen)

@@ -23,6 +23,7 @@ from .views.opening_pixels import has_openings, hole_coverage
 from .views.polarisers import PolariserBank
 from .views.source_views import (
     LEARNT,
+    MEAN_EXPOSED,
     Mode,
     SourceView,
     background_is_black,
@@ -36,7 +37,6 @@ from .views.view import View, prepare
 
 START_ALBEDO, START_ROUGHNESS, START_IOR = 0.35, 0.35, 1.5  # an everyday dielectric
 BODY_SHARE, MIRROR_SHARE = 0.85, 0.07  # of a constant sky's light: what passes the surface in and out, and what it mirrors
-MEAN_EXPOSED = 0.25  # mean foreground radiance in the training exposure
 NO_POINTS = np.zeros((0, 3))
 
 

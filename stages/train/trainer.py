@@ -15,7 +15,6 @@ from .renderer import Renderer
 from .scene import Scene
 from .schedule import STEP_RULES, Phase, epoch_order, phase_at
 from .splats.albedo_light_scale import ScaleStep
-from .splats.densify import Activity
 from .splats.optimiser import SurfaceAdam
 from .upkeep import CYCLE, REFRESH, Upkeep
 from .views.angle_fit import AngleFit, fit_angles
@@ -124,8 +123,7 @@ class Trainer:
             "scene": self.scene.state(),
             "adam": self.adam.state(),
             "scale_step": self.scale_step.state(),
-            "activity": vars(self.upkeep.activity),
-            "hollowed": list(self.upkeep.hollowed),
+            **self.upkeep.state(),
         }
 
     def load(self, state: dict[str, Any]) -> None:
@@ -133,6 +131,5 @@ class Trainer:
         self.scene.load(state["scene"])
         self.adam.load(state["adam"])
         self.scale_step.load(state["scale_step"])
-        self.upkeep.activity = Activity(**state["activity"])
-        self.upkeep.hollowed = list(state["hollowed"])
+        self.upkeep.load(state)
         self.iteration = state["iteration"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import torch
 
@@ -57,6 +58,14 @@ class Upkeep:
         """Begin to count anew."""
         model = self.scene.model
         self.activity = Activity.empty(len(model), model["position"].device)
+
+    def state(self) -> dict[str, Any]:
+        """What a resume needs beside the scene."""
+        return {"activity": vars(self.activity), "hollowed": list(self.hollowed)}
+
+    def load(self, state: dict[str, Any]) -> None:
+        """Take over a saved state."""
+        self.activity, self.hollowed = Activity(**state["activity"]), list(state["hollowed"])
 
     def refresh(self, iteration: int, views: Sequence[View], level: int) -> None:
         """What is due before step `iteration`, a multiple of REFRESH; `views` of the pyramid level in use are traced."""

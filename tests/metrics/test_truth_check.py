@@ -11,6 +11,7 @@ import pytest
 from pipeline.capture import Capture, LightStage, LightStageCamera, LightTable
 from pipeline.errors import UserError
 from pipeline.formats.images import write_exr
+from pipeline.formats.ply import write_ply
 from pipeline.geometry.cameras import Camera
 from stages.metrics.truth_check import check_truth
 
@@ -86,9 +87,15 @@ def test_images_and_meshes_that_cannot_be_used_are_named(capture):
     write_exr(path, {"Y": np.ones((4, 4))})
     assert "no channel X" in fault(capture, path)
     mesh = capture.root / "gt" / "mesh.ply"
-    head = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nelement face {}\nend_header\n"
-    mesh.write_text(head.format(1) + "0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n")
+    corners = np.eye(3)
+    write_ply(mesh, dict(zip("xyz", corners)), np.array([[0, 1, 2]]))
     check_truth(capture, [mesh])
-    for text, words in ((head.format(0), "no triangle"), ("solid", "not a PLY"), (head.format(900), "ends early")):
-        mesh.write_text(text)
+    good = mesh.read_bytes()
+    mesh.write_bytes(good[:-5])
+    assert "truncated" in fault(capture, mesh)
+    mesh.write_text("solid")
+    assert "not a PLY" in fault(capture, mesh)
+    cases = (("xyz", [0, 1, 3], "names vertex 3 of 3"), ("xyw", [0, 1, 2], "have no z"), ("xyz", [], "no triangle"))
+    for columns, face, words in cases:
+        write_ply(mesh, dict(zip(columns, corners)), np.array(face, int).reshape(-1, 3))
         assert words in fault(capture, mesh)

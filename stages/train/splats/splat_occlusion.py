@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from pipeline.geometry.normals import vertex_normals
 from pipeline.geometry.rays import RayMesh
-from pipeline.shading import LightField, Occlusion, shade
+from pipeline.shading import LightField, shade
 
 from ..initialise.hull import HullMesh
 from .gaussians import SplatModel, Splats
@@ -196,11 +196,6 @@ def trace_pixels(
         seen[torch.as_tensor(np.flatnonzero(hit), device=device)] = outgoing(splats, splat[hit], flat[hit], light, fresnel)
     unblocked = 1 - torch.as_tensor(hit.reshape(count, LOBE_RAYS).astype(np.float32).mean(1), device=device)
     return unblocked, seen.reshape(count, LOBE_RAYS, 3).mean(1)
-
-
-def view_occlusion(shadow: torch.Tensor, bounced: torch.Tensor, unblocked: torch.Tensor, seen: torch.Tensor) -> Occlusion:
-    """The four terms, shadow [P, 3], bounced [P, 3], unblocked [P] and seen [P, 3], as shading takes them."""
-    return Occlusion(shadow=shadow, bounced=bounced, unblocked=unblocked, seen=seen)
 
 
 def cosine_directions(count: int) -> np.ndarray:

@@ -21,6 +21,7 @@ from pipeline.geometry.lens import FRAMES
 Split = Literal["train", "validation", "test", "left_out"]
 LEARNT = ("train", "validation")  # the rest is rendered, not learnt from: test views, and views that do not show the object
 BLACK_BACKGROUND = 0.01  # background radiance over foreground radiance below which the edge pixels are premultiplied
+MEAN_EXPOSED = 0.25  # mean foreground radiance in the training exposure: a photograph's middle grey, a little up
 FEWEST_VIEWS = 4  # below this neither a hull nor an environment is determined at all
 
 
@@ -160,7 +161,7 @@ def edge_offset(sources: list[SourceView]) -> float:
         ring = ndimage.binary_dilation(mask) & ~mask
         edge = mask & ~ndimage.binary_erosion(mask, border_value=1)
         if ring.any() and edge.any():
-            # 2x2 box against the sharp highlights of single edge pixels
+            # cut off at the edge's 90th percentile: one sharp highlight would outweigh the whole ring
             outside.append(np.minimum(lum[ring], np.percentile(lum[edge], 90)).mean())
             inside.append(np.minimum(lum[edge], np.percentile(lum[edge], 90)).mean())
     if not inside or sum(inside) <= 0:
@@ -169,9 +170,9 @@ def edge_offset(sources: list[SourceView]) -> float:
 
 
 def exposure_of(sources: list[SourceView]) -> float:
-    """Factor that brings the mean foreground radiance of the training views to 0.25, bright outliers left out."""
+    """Factor that brings the mean foreground radiance of the training views to MEAN_EXPOSED, bright outliers left out."""
     values = [s.image[:, :, 0].mean(-1)[(s.mask > 0.5) & s.valid] for s in sources if s.split != "test"]
     lum = np.concatenate(values)
     lum = lum[lum <= np.percentile(lum, 99)] if len(lum) else lum
     mean = float(lum.mean()) if len(lum) else 0.0
-    return 0.25 / mean if mean > 0 else 1.0
+    return MEAN_EXPOSED / mean if mean > 0 else 1.0
