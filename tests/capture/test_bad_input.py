@@ -217,6 +217,7 @@ def test_settings_that_are_not_finite_are_refused(tmp_path, key, value):
     [("raw.width = 0", "raw.width"), ("raw.height = 2.5", "raw.height"), ("raw.width = true", "raw.width"),
      ("radiometry = { black_level = 64, white_level = 64 }", "radiometry.white_level"),
      ("olat.specular_factor = 0", "specular_factor"),
+     *((f"{key} = {value}", key) for key in ("stokes.scale", "radiometry.exposure_s.a") for value in ("1e308", "1e-50", "-1")),
      ("olat.irradiance = 1" + "0" * 400, "olat.irradiance")],
 )  # fmt: skip
 def test_settings_without_meaning_are_refused(tmp_path, line, word):
