@@ -18,6 +18,7 @@ from pipeline.capture.naming.files import RAW_SUFFIXES
 from pipeline.capture.naming.grouping import Exposure, Group
 from pipeline.capture.pixels.brackets import read_exposures
 from pipeline.capture.pixels.frame_memory import frame_array
+from pipeline.capture.pixels.linear import all_finite
 from pipeline.capture.pixels.linear_image import LinearImage
 from pipeline.capture.pixels.row_bands import ROWS, LinearReader
 from pipeline.capture.pixels.stokes_files import finished
@@ -108,7 +109,7 @@ def _solve(
 
 def _leave_out_holes(band: NDArray[np.float32], invalid: NDArray[np.bool_]) -> int:
     """Mark samples [n, rows, W, 3] that are not finite as invalid, with zero in their place; how many pixels have some."""
-    if np.isfinite(band.sum()):
+    if all_finite(band):
         return 0
     bad: NDArray[np.bool_] = np.any(~np.isfinite(band), axis=-1)
     band[bad] = 0

@@ -90,21 +90,24 @@ def _reference(path: Path, name: str, radiometry: RadiometryConfig, image: Linea
     return pixels
 
 
+def all_finite(samples: NDArray[np.float32]) -> bool:
+    """Whether every sample is finite. A finite sum has finite terms; one that is not may only have overflowed."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return bool(np.isfinite(samples.sum())) or bool(np.isfinite(samples).all())
+
+
 def fill_holes(image: NDArray[np.float32]) -> NDArray[np.bool_] | None:
     """Replace non-finite pixels of [H, W, ...] in place by their nearest finite neighbour (zero if there is none).
 
     Returns where they were [H, W], or None if there were none.
     """
-    # A finite sum has finite terms; one that is not may only have overflowed, which the exact test below tells.
-    if np.isfinite(image.sum()):
+    if all_finite(image):
         return None
     flat = image.reshape(*image.shape[:2], -1)
     holes: NDArray[np.bool_] = np.any(~np.isfinite(flat), axis=-1)
     if holes.all():
         flat[:] = 0
         return holes
-    if not holes.any():
-        return None
     from scipy.ndimage import distance_transform_edt
 
     row, column = distance_transform_edt(holes, return_distances=False, return_indices=True)
