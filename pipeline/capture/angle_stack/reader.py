@@ -19,7 +19,7 @@ from pipeline.capture.naming.grouping import Exposure, Group
 from pipeline.capture.pixels.brackets import read_exposures
 from pipeline.capture.pixels.frame_memory import frame_array
 from pipeline.capture.pixels.linear import all_finite
-from pipeline.capture.pixels.linear_image import LinearImage
+from pipeline.capture.pixels.linear_image import LinearImage, balance
 from pipeline.capture.pixels.row_bands import ROWS, LinearReader
 from pipeline.capture.pixels.stokes_files import finished
 from pipeline.capture.pixels.stokes_frame import apply_stokes_config
@@ -62,8 +62,7 @@ def read_stack(group: Group, config: CaptureConfig, polariser: PolariserConfig |
     finally:
         for angle in angles:
             angle.close()
-    if config.radiometry.white_balance:
-        stokes *= np.asarray(config.radiometry.white_balance, np.float32)
+    balance(stokes, config.radiometry)
     view = DecodedView(stokes=apply_stokes_config(stokes, config.stokes), saturated=lost, design=design)
     view.covariance = design_covariance(design)
     if len(design) > 3:

@@ -19,6 +19,7 @@ from pipeline.capture.radiometry.encoding import find_encoding, impossible_share
 from pipeline.capture.radiometry.exposure import HeaderExposure, even_out, exposure_of, read_exposure
 from pipeline.capture.radiometry.of_file import FoundRadiometry, factor_of
 from pipeline.errors import UserError
+from pipeline.formats.image_parts import without_alpha
 from pipeline.formats.images import open_image, srgb_decode
 
 if TYPE_CHECKING:
@@ -98,7 +99,7 @@ def _white_level(files: Sequence[Exposure]) -> tuple[float | None, list[str]]:
         image.close()
         if pixels is None:
             return np.zeros(0, np.uint16)  # its reader says what is wrong
-        colour = [k for k, name in enumerate(spec.channelnames) if name.lower() != "a"]
+        colour = without_alpha(spec.channelnames)
         return np.asarray(pixels).reshape(-1, spec.nchannels)[:, colour].astype(np.uint16, copy=False)
 
     by_path = {(e.path, e.page): e for e in files}
