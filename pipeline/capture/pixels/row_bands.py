@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.capture.config import RadiometryConfig
+from pipeline.capture.naming.exif import header_number
 from pipeline.capture.naming.files import FLOAT_SUFFIXES
 from pipeline.capture.radiometry.of_file import for_file
 from pipeline.errors import UserError
@@ -43,7 +44,7 @@ class LinearReader:
         self.frame = exr_frame(spec, path)
         self.size = self.frame.size
         self.orientation = int(spec.get_int_attribute("Orientation", 1)) if path.suffix.lower() != ".hdr" else 1
-        self.exposure_s = float(spec.get_float_attribute("ExposureTime", 0.0)) or None
+        self.exposure_s = header_number(spec, "ExposureTime")
         self.encoding = radiometry.encoding or ("srgb" if self.bits == 8 and not sensor_data else "linear")
         self._top, self._tiled = spec.y, bool(spec.tile_width)
         self._whole: NDArray[Any] | None = None
