@@ -7,13 +7,14 @@ through untouched: the stage checks them against its own parameters.
 from __future__ import annotations
 
 import dataclasses
-import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from pipeline.errors import UserError
+from pipeline.formats.bare_arrays import SETTINGS_FILE, SETTINGS_HELP, RawConfig
+from pipeline.formats.toml_file import read_toml
 from pipeline.formats.typed_values import filled
 from pipeline.geometry.world import UP_AXES
 
@@ -87,18 +88,6 @@ class StackConfig:
 
 
 @dataclass(frozen=True)
-class RawConfig:
-    """Bare samples without a header (.raw): what the file cannot tell. `format` as GenICam names it (Mono8, Mono12p,
-    Mono12Packed, BayerRG16, ...); `offset`: bytes before the first sample."""
-
-    width: int | None = None
-    height: int | None = None
-    format: str | None = None
-    offset: int = 0
-    big_endian: bool = False
-
-
-@dataclass(frozen=True)
 class OlatConfig:
     """Light-stage facts (see docs/light_stage.md). `first_frame`: the number of the frame of the light with index 0."""
 
@@ -136,7 +125,7 @@ class CaptureConfig:
     radiometry: RadiometryConfig = RadiometryConfig()
     mosaic: MosaicConfig = MosaicConfig()
     stack: StackConfig = StackConfig()
-    raw: RawConfig = RawConfig()
+    raw: RawConfig = field(default_factory=RawConfig)
     olat: OlatConfig = OlatConfig()
     poses: PosesConfig = PosesConfig()
     stage: dict[str, dict[str, Any]] = field(default_factory=dict)
@@ -145,16 +134,10 @@ class CaptureConfig:
 
 def load_config(root: Path) -> CaptureConfig:
     """Read ROOT/capture.toml (absent: all defaults). Raises UserError naming the key on anything unknown or of a wrong type."""
-    path = root / "capture.toml"
+    path = root / SETTINGS_FILE
     if not path.is_file():
         return CaptureConfig()
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
-        raise UserError(path, f"is not valid TOML: {error}", "correct it; docs/captures.md has an example") from None
-    except RecursionError:
-        raise UserError(path, "is not valid TOML: nested too deeply", "correct it; docs/captures.md has an example") from None
-    config = filled(CaptureConfig, table, "", str(path), hidden=("path",))
+    config = filled(CaptureConfig, read_toml(path, SETTINGS_HELP), "", str(path), hidden=("path",))
     _check(config, path)
     return dataclasses.replace(config, path=path)
 
@@ -169,7 +152,7 @@ def _check(config: CaptureConfig, path: Path) -> None:
     refuse(config.up is not None and config.up not in UP_AXES, "up", config.up, f"one of {', '.join(UP_AXES)}")
     refuse(config.unit_m is not None and config.unit_m <= 0, "unit_m", config.unit_m, "above 0")
     _check_poses(config.poses, refuse)
-    refuse(config.stokes.scale == 0, "stokes.scale", config.stokes.scale, "a factor other than 0")
+    refuse(config.stokes.scale <= 0, "stokes.scale", config.stokes.scale, "a factor above 0")
     radiometry = config.radiometry
     refuse(
         radiometry.encoding not in (None, "linear", "srgb"), "radiometry.encoding", radiometry.encoding, '"linear" or "srgb"'

@@ -9,6 +9,7 @@ from pathlib import Path
 from pipeline.capture.config import load_config
 from pipeline.capture.layouts import all_layouts
 from pipeline.capture.model import Capture
+from pipeline.capture.naming.files import refuse_duplicates
 from pipeline.capture.naming.safe_names import refuse_special_files
 from pipeline.capture.recognition.foreign import foreign_warnings, refuse_unreadable
 from pipeline.capture.recognition.idle_tables import refuse_idle_tables
@@ -61,6 +62,7 @@ def open_capture(path: Path | str) -> Capture:
 
 def _checked(capture: Capture) -> Capture:
     """The capture, if what its parts say fits together, with warnings for files among its images that nobody here reads."""
+    refuse_duplicates((view.view, view.paths[0]) for view in capture.views)
     if capture.kind == "multiview" and capture.cameras:
         refuse_one_place(capture.cameras, capture.camera_file)
     refuse_idle_tables(capture)

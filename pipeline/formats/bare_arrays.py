@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -12,12 +13,28 @@ from numpy.typing import NDArray
 
 from pipeline.errors import UserError
 from pipeline.formats.arrays import read_array
+from pipeline.formats.toml_file import read_toml
+from pipeline.formats.typed_values import typed
 
 ARRAY_SUFFIXES = frozenset({".npy", ".raw"})
 FORMAT = re.compile(r"^(mono|bayer(?:rg|gb|gr|bg)|rgb|polarized\w*mono)(8|10|12|14|16)(p|packed)?$", re.IGNORECASE)
 PACKED = {("10", "p"): 5, ("12", "p"): 3, ("12", "packed"): 3}
 """Bytes of a group of samples (four of 10 bits, two of 12 bits)."""
 SET = 'set raw.width, raw.height and raw.format (as "Mono8", "Mono12p", "Mono16") in capture.toml'
+SETTINGS_FILE = "capture.toml"
+SETTINGS_HELP = "correct it; docs/captures.md has an example"
+
+
+@dataclass(frozen=True)
+class RawConfig:
+    """Bare samples without a header (.raw): what the file cannot tell. `format` as GenICam names it (Mono8, Mono12p,
+    Mono12Packed, BayerRG16, ...); `offset`: bytes before the first sample."""
+
+    width: int | None = None
+    height: int | None = None
+    format: str | None = None
+    offset: int = 0
+    big_endian: bool = False
 
 
 class ArrayInput:
@@ -105,7 +122,7 @@ def _plain_type(array: NDArray[Any], path: Path) -> NDArray[Any]:
 
 def _open_raw(path: Path) -> ArrayInput:
     config, where = _raw_config(path)
-    if config is None or None in (config.width, config.height, config.format):
+    if config.width is None or config.height is None or config.format is None:
         raise UserError(path, "holds bare samples: their size and format are not in the file", SET)
     match = FORMAT.match(config.format)
     if match is None or (match[3] and (match[2], match[3].lower()) not in PACKED):
@@ -149,17 +166,17 @@ def unpacked(data: NDArray[np.uint8], bits: int, style: str, count: int) -> NDAr
     return np.stack(samples, -1).ravel()[:count].astype(np.uint16)
 
 
-def _raw_config(path: Path) -> tuple[Any, Path]:
-    """capture.toml's [raw] of the capture that `path` lies in, and that file."""
+def _raw_config(path: Path) -> tuple[RawConfig, Path]:
+    """capture.toml's [raw] of the capture that `path` lies in, and that file. Raises UserError."""
     for folder in path.absolute().parents:
-        settings = folder / "capture.toml"
+        settings = folder / SETTINGS_FILE
         if settings.is_file():
             return _settings(settings, settings.stat().st_mtime_ns), settings
-    return None, path
+    return RawConfig(), path
 
 
 @lru_cache(maxsize=8)
-def _settings(path: Path, changed: int) -> Any:
-    from pipeline.capture.config import load_config
-
-    return load_config(path.parent).raw
+def _settings(path: Path, changed: int) -> RawConfig:
+    """The table [raw]; `changed` (nanoseconds): a file that was written anew is read anew."""
+    config: RawConfig = typed(read_toml(path, SETTINGS_HELP).get("raw", {}), RawConfig, "raw", str(path))
+    return config

@@ -141,6 +141,11 @@ def layers(names: Sequence[str]) -> dict[str, dict[str, int]]:
     return out
 
 
+def without_alpha(names: Sequence[str]) -> list[int]:
+    """The numbers of the channels that hold light."""
+    return [i for i, name in enumerate(names) if name.lower() != "a"]
+
+
 def _colour_layers(names: Sequence[str]) -> list[str]:
     """The layers with R, G and B."""
     return [layer for layer, inside in layers(names).items() if {"r", "g", "b"} <= {c.lower() for c in inside}]

@@ -39,8 +39,19 @@ def open_image(path: Path, page: Page | None = None, unassociated: bool = False,
     `unassociated`: alpha not multiplied into colour, as PNG stores it; `plain`: the layer that is the picture goes by R, G, B.
     Raises UserError.
     """
-    from pipeline.formats.bare_arrays import ARRAY_SUFFIXES, open_array
     from pipeline.formats.image_parts import chosen
+
+    image = open_whole(path, unassociated)
+    try:
+        return chosen(image, path, page, plain)
+    except UserError:
+        image.close()
+        raise
+
+
+def open_whole(path: Path, unassociated: bool = False) -> Any:
+    """An open file at its first image, however many it holds (`open_image`). Raises UserError."""
+    from pipeline.formats.bare_arrays import ARRAY_SUFFIXES, open_array
 
     if not path.is_file():
         raise UserError(path, "no such image", "check the path and the name")
@@ -49,18 +60,14 @@ def open_image(path: Path, page: Page | None = None, unassociated: bool = False,
     if path.suffix.lower() == ".png":
         refuse_truncated(path)
     if path.suffix.lower() in ARRAY_SUFFIXES:
-        return chosen(open_array(path), path, page, plain)
+        return open_array(path)
     how = _oiio().ImageSpec()
     if unassociated:
         how.attribute("oiio:UnassociatedAlpha", 1)
     image = _oiio().ImageInput.open(str(path), how)
     if image is None:
         raise UserError(path, f"cannot be read as an image ({reason_of(_oiio())})", "copy it again or remove it")
-    try:
-        return chosen(image, path, page, plain)
-    except UserError:
-        image.close()
-        raise
+    return image
 
 
 def reason_of(library: Any) -> str:

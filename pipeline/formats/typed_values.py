@@ -14,6 +14,8 @@ NAMES: dict[type, str] = {bool: "true or false", int: "a whole number", float: "
 NAMES |= {tuple: "a list", dict: "a table"}
 MAY_BE_INFINITE = frozenset({"extinction"})
 """Settings whose ideal is infinite: a polariser's extinction ratio."""
+SMALLEST, LARGEST = 1.2e-38, 3.4e38
+"""Frames are computed in single precision: a factor beyond it would make them infinite, one below it black."""
 
 
 def typed(value: Any, kind: Any, key: str, source: str, text: bool = False) -> Any:
@@ -69,6 +71,9 @@ def _scalar(value: Any, kind: type, key: str, source: str, text: bool) -> Any:
     infinite = kind is float and key.rpartition(".")[2] in MAY_BE_INFINITE
     if isinstance(number, bool) or not isinstance(number, int | float) or not _is_number(number, infinite):
         raise _wrong(value, kind, key, source)
+    if kind is float and number and math.isfinite(number) and not SMALLEST <= abs(number) <= LARGEST:
+        fault = f"{key} = {value!r} is not a number that single precision holds ({SMALLEST} to {LARGEST})"
+        raise UserError(source, fault, "correct the value")
     if kind is int and not (isinstance(number, int) or number.is_integer()):
         raise _wrong(value, kind, key, source)
     return kind(number)

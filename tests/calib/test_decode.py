@@ -54,6 +54,15 @@ def test_scenes_beyond_half_floats_stay_exact(scale, run_stages, tmp_path):
     np.testing.assert_allclose(read_stokes(run.output / "frames/000.exr"), images[0], rtol=1e-6)
 
 
+@pytest.mark.parametrize("samples", [(3e38, 3e38, 3e38), (1e38, 3e38, -3e38)])
+def test_light_beyond_single_precision_is_refused(samples, run_stages, tmp_path):
+    for angle, value in zip((0, 60, 120), samples):
+        image = np.full((24, 32), value, np.float32)
+        write_exr(tmp_path / "c/images" / f"a_{angle:03d}.exr", {c: image for c in "RGB"})
+    with pytest.raises(UserError, match=r"a_000\.exr: its radiance is more than single precision holds; check"):
+        run_stages(tmp_path / "c", tmp_path / "d", "decode")
+
+
 def test_stokes_table_of_capture_toml_is_applied(run_stages, tmp_path):
     image = some_stokes()
     capture_of(tmp_path / "c", [image], "stokes")

@@ -1,6 +1,7 @@
 """Whatever can be wrong with a capture is reported in one line that names the file, or read soundly with a warning."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -217,6 +218,7 @@ def test_settings_that_are_not_finite_are_refused(tmp_path, key, value):
     [("raw.width = 0", "raw.width"), ("raw.height = 2.5", "raw.height"), ("raw.width = true", "raw.width"),
      ("radiometry = { black_level = 64, white_level = 64 }", "radiometry.white_level"),
      ("olat.specular_factor = 0", "specular_factor"),
+     *((f"{key} = {value}", key) for key in ("stokes.scale", "radiometry.exposure_s.a") for value in ("1e308", "1e-50", "-1")),
      ("olat.irradiance = 1" + "0" * 400, "olat.irradiance")],
 )  # fmt: skip
 def test_settings_without_meaning_are_refused(tmp_path, line, word):
@@ -244,4 +246,15 @@ def test_reference_frames_that_are_not_there_are_named(tmp_path, scene, write, k
     write.angle_stack(tmp_path, scene)
     (tmp_path / "capture.toml").write_text(f'radiometry.{key} = "nowhere.tif"\n')
     with pytest.raises(UserError, match=rf"capture\.toml: radiometry\.{key} = 'nowhere\.tif' is not there"):
+        open_capture(tmp_path)
+
+
+def test_two_pictures_of_one_view_name_are_refused_in_every_layout(tmp_path, scene, write):
+    write.phygap_mitsuba(tmp_path, scene)
+    table = dict(np.load(tmp_path / "camera_params.npz"))
+    np.savez(tmp_path / "camera_params.npz", **{**table, "extrinsics": table["extrinsics"][[0, 1, 2, 0]]})
+    first = min((tmp_path / "images_full").glob("*.exr"))
+    (tmp_path / "images_full" / "more").mkdir()
+    shutil.copyfile(first, tmp_path / "images_full" / "more" / first.name)
+    with pytest.raises(UserError, match=rf"{first.name}: has the same view name"):
         open_capture(tmp_path)

@@ -63,6 +63,14 @@ def test_what_is_doubtful_is_refused_in_both(kind: Any, value: Any, fault: str, 
     assert str(caught.value).startswith("place: stage.name = ") and "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize("value", [1e308, -1e39, 1e-50])
+def test_numbers_that_single_precision_makes_infinite_or_zero_are_refused(value: float) -> None:
+    for given, text in ((value, False), (str(value), True)):
+        with pytest.raises(UserError, match="single precision"):
+            typed(given, float, "a.b", "place", text)
+    assert typed(0.0, float, "a.b", "place") == 0 and typed(-1e30, float, "a.b", "place") == -1e30
+
+
 @pytest.mark.parametrize(
     ("kind", "value"), [(int, "500"), (float, "0.5"), (bool, "true"), (tuple[float, ...], "1 2"), (str, 5)]
 )

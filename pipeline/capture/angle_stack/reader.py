@@ -18,7 +18,8 @@ from pipeline.capture.naming.files import RAW_SUFFIXES
 from pipeline.capture.naming.grouping import Exposure, Group
 from pipeline.capture.pixels.brackets import read_exposures
 from pipeline.capture.pixels.frame_memory import frame_array
-from pipeline.capture.pixels.linear_image import LinearImage
+from pipeline.capture.pixels.linear import all_finite
+from pipeline.capture.pixels.linear_image import LinearImage, balance
 from pipeline.capture.pixels.row_bands import ROWS, LinearReader
 from pipeline.capture.pixels.stokes_files import finished
 from pipeline.capture.pixels.stokes_frame import apply_stokes_config
@@ -61,8 +62,7 @@ def read_stack(group: Group, config: CaptureConfig, polariser: PolariserConfig |
     finally:
         for angle in angles:
             angle.close()
-    if config.radiometry.white_balance:
-        stokes *= np.asarray(config.radiometry.white_balance, np.float32)
+    balance(stokes, config.radiometry)
     view = DecodedView(stokes=apply_stokes_config(stokes, config.stokes), saturated=lost, design=design)
     view.covariance = design_covariance(design)
     if len(design) > 3:
@@ -108,7 +108,7 @@ def _solve(
 
 def _leave_out_holes(band: NDArray[np.float32], invalid: NDArray[np.bool_]) -> int:
     """Mark samples [n, rows, W, 3] that are not finite as invalid, with zero in their place; how many pixels have some."""
-    if np.isfinite(band.sum()):
+    if all_finite(band):
         return 0
     bad: NDArray[np.bool_] = np.any(~np.isfinite(band), axis=-1)
     band[bad] = 0

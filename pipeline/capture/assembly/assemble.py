@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,6 +23,7 @@ from pipeline.capture.naming.files import (
 from pipeline.formats.images import channel_names
 from pipeline.geometry.cameras import Camera
 
+MAY_HOLD_ALPHA = frozenset({".png", ".tif", ".tiff", ".exr"})
 PLATES = ("clean_plate", "clean_plates", "background", "backgrounds")
 
 
@@ -71,21 +72,21 @@ def assemble(
     check_masks(masks, lambda view: sizes[view] or (0, 0))
     plates, plate_files = find_plates(root, config, views)
     environments = find_environments(root)
-    alpha = not masks and bool(views) and all(_has_alpha(v) for v in views)
+    alpha = not masks and all_have_alpha(views)
     return Capture(
         root, layout, "multiview", polarisation, views, environments=environments, config=config, up=config.up or "y",
         cameras=dict(cameras) if cameras is not None else None, masks=masks or ("alpha" if alpha else None),
         colmap=table.model if table is not None else None,
         files=(*camera_files, *(p for v in views for p in v.paths), *masks.values(), *plate_files, *environments),
-        polarisers=polariser_priors([v.camera for v in views], config, root) if polarisation == "polarisers" else {},
+        polarisers=polariser_priors([v.camera for v in views], config) if polarisation == "polarisers" else {},
         warnings=tuple(warnings + more), facts=facts, clean_plates=plates,
     )  # fmt: skip
 
 
-def _has_alpha(view: ViewSource) -> bool:
-    path = view.paths[0]
-    holds_one = not view.paged and path.suffix.lower() in (".png", ".tif", ".tiff", ".exr")
-    return holds_one and "A" in channel_names(path, plain=True)
+def all_have_alpha(views: Sequence[ViewSource]) -> bool:
+    """Whether every view's image carries an alpha channel (headers only)."""
+    files = [v.paths[0] for v in views if not v.paged and v.paths[0].suffix.lower() in MAY_HOLD_ALPHA]
+    return bool(views) and len(files) == len(views) and all("A" in channel_names(p, plain=True) for p in files)
 
 
 def find_plates(root: Path, config: CaptureConfig, views: tuple[ViewSource, ...]) -> tuple[dict[str, Path], tuple[Path, ...]]:

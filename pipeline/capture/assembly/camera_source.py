@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -14,9 +13,9 @@ from pipeline.capture.camera_files import bundler, llff, metashape, middlebury
 from pipeline.capture.camera_files.table import CameraTable, Size, cameras_of_views, entries_in_order
 from pipeline.capture.camera_files.unread import unread
 from pipeline.capture.model import ViewSource
-from pipeline.capture.naming.files import IMAGE_FOLDERS, UNDISTORTED, count
+from pipeline.capture.naming.files import IMAGE_FOLDERS, UNDISTORTED, count, subfolders
 from pipeline.errors import UserError
-from pipeline.formats.arrays import read_arrays
+from pipeline.formats.arrays import array_names, read_arrays
 from pipeline.formats.colmap import find_models, model_files, read_model, registered_images
 from pipeline.geometry.camera_check import check_camera
 from pipeline.geometry.cameras import Camera
@@ -44,9 +43,7 @@ def camera_table(root: Path, folder: Path) -> tuple[CameraTable | None, list[str
 def _around(root: Path, folder: Path) -> list[Path]:
     """Folders in which a camera file may lie: from the images' up to the capture's, then those one below it."""
     above = [p for p in (folder, *folder.parents) if p == root or p.is_relative_to(root)]
-    hidden = ("gt", "masks", "mask", "envmaps")
-    below = [p for p in sorted(root.iterdir()) if p.is_dir() and not p.name.startswith(".") and p.name not in hidden]
-    return list(dict.fromkeys([*above, *below]))
+    return list(dict.fromkeys([*above, *subfolders(root)]))
 
 
 def _one_folder_up(root: Path) -> list[str]:
@@ -125,9 +122,8 @@ def from_colmap(
 def is_idr(path: Path) -> bool:
     """Whether an archive holds world_mat_i (a name check; a damaged one is left to its reader)."""
     try:
-        with zipfile.ZipFile(path) as archive:
-            return any(name.startswith("world_mat_") for name in archive.namelist())
-    except (OSError, zipfile.BadZipFile):
+        return any(name.startswith("world_mat_") for name in array_names(path))
+    except UserError:
         return path.name in IDR
 
 

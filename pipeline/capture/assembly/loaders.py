@@ -14,6 +14,7 @@ from pipeline.capture.mosaic.order import order_fault
 from pipeline.capture.mosaic.sensor_files import read_mosaic
 from pipeline.capture.naming.grouping import Group
 from pipeline.capture.pixels.brackets import read_exposures
+from pipeline.capture.pixels.linear_image import balance
 from pipeline.capture.pixels.stokes_files import finished, is_verbatim, mended
 from pipeline.capture.pixels.stokes_frame import apply_stokes_config
 from pipeline.errors import UserError
@@ -30,8 +31,7 @@ def colour_loader(group: Group, config: CaptureConfig) -> Callable[[], DecodedVi
     def load() -> DecodedView:
         image = read_exposures(group.angles[None], config.radiometry, view=group.view)
         rgb = np.ascontiguousarray(image.rgb(group.paths[0]))
-        if config.radiometry.white_balance:
-            rgb *= np.asarray(config.radiometry.white_balance, np.float32)
+        balance(rgb, config.radiometry)
         view = finished(DecodedView(rgb=rgb, saturated=image.saturated, alpha=image.alpha), group.paths[0], image)
         if len(group.paths) == 1 and is_verbatim(view, image, group.paths[0], ("R", "G", "B"), config):
             view.verbatim = group.paths[0]
@@ -72,8 +72,7 @@ def mosaic_loader(group: Group, config: CaptureConfig, colour: str) -> Callable[
         polariser = config.polarisers.get("camera")  # a mosaic's one physical camera
         extinction = polariser.extinction if polariser else None
         stokes = demosaic(samples, config.mosaic.order, colour, config.mosaic.bayer, config.mosaic.demosaic, extinction)
-        if config.radiometry.white_balance:
-            stokes *= np.asarray(config.radiometry.white_balance, np.float32)
+        balance(stokes, config.radiometry)
         stokes = apply_stokes_config(stokes, config.stokes)
         design = polariser_design(config.mosaic.order, extinction)
         view = DecodedView(

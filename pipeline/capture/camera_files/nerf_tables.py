@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 from pipeline.capture.camera_files.table import entries_of, stem_parts
-from pipeline.capture.naming.files import IMAGE_SUFFIXES, image_folder, list_images
+from pipeline.capture.naming.files import IMAGE_SUFFIXES, image_folder, list_images, subfolders
 from pipeline.capture.recognition.stray_files import sort_out
 from pipeline.errors import UserError
 from pipeline.formats.json_file import read_json
@@ -37,19 +36,14 @@ def table_files(root: Path) -> list[Path]:
     here = _in_folder(root)
     if here:
         return here
-    below = [found for p in _subfolders(root) if (found := _in_folder(p))]
+    below = [found for p in subfolders(root) if (found := _in_folder(p))]
     return below[0] if len(below) == 1 else []
 
 
 def captures_below(root: Path) -> list[Path]:
     """Folders below `root` with tables of their own, where there are several: each is a capture."""
-    below = [p for p in _subfolders(root) if _in_folder(p)]
+    below = [p for p in subfolders(root) if _in_folder(p)]
     return below if len(below) > 1 else []
-
-
-def _subfolders(root: Path) -> Iterator[Path]:
-    hidden = ("gt", "masks", "mask", "envmaps")
-    yield from (p for p in sorted(root.iterdir()) if p.is_dir() and not p.name.startswith(".") and p.name not in hidden)
 
 
 def _in_folder(folder: Path) -> list[Path]:

@@ -14,7 +14,9 @@ from pipeline.capture.config import CaptureConfig
 from pipeline.capture.layouts import Layout
 from pipeline.capture.model import Capture, DecodedView, ViewSource
 from pipeline.capture.naming.files import FLOAT_SUFFIXES
-from pipeline.capture.pixels.linear import read_linear
+from pipeline.capture.naming.grouping import Exposure
+from pipeline.capture.pixels.brackets import read_exposures
+from pipeline.capture.pixels.linear_image import balance
 from pipeline.capture.pixels.stokes_files import finished
 from pipeline.capture.pixels.stokes_frame import FROM_SUMS, FROM_SUMS_FACT, apply_stokes_config
 from pipeline.errors import UserError
@@ -43,7 +45,7 @@ def read(root: Path, config: CaptureConfig) -> Capture:
         if missing:
             raise UserError(folder / f"{name}_{missing[0]}.hdr", "is missing", "every view needs _s0, _s0p1 and _s0p2")
         paths = tuple(parts[p] for p in PARTS)
-        views.append(ViewSource(name, paths, "camera", _loader(paths, config), image_size(paths[0])))
+        views.append(ViewSource(name, paths, "camera", _loader(name, paths, config), image_size(paths[0])))
     sizes = {v.view: v.size or (0, 0) for v in views}
     has_cameras = (root / CAMERAS).is_file()
     cameras = from_idr(root / CAMERAS, list(sizes), sizes) if has_cameras else None
@@ -53,14 +55,19 @@ def read(root: Path, config: CaptureConfig) -> Capture:
     return replace(capture, facts=(FROM_SUMS_FACT,))
 
 
-def _loader(paths: tuple[Path, ...], config: CaptureConfig) -> Callable[[], DecodedView]:
+def _loader(name: str, paths: tuple[Path, ...], config: CaptureConfig) -> Callable[[], DecodedView]:
     def load() -> DecodedView:
-        parts = [read_linear(p, replace(config.radiometry, encoding="linear")).rgb(p) for p in paths]
+        radiometry = replace(config.radiometry, encoding="linear")
+        images = [read_exposures([Exposure(p)], radiometry, view=name) for p in paths]
+        parts = [image.rgb(p) for image, p in zip(images, paths)]
         if len({p.shape for p in parts}) > 1:
             raise UserError(paths[1], f"is {parts[1].shape[:2]}, {paths[0].name} is {parts[0].shape[:2]}", "one size a view")
         s0, s0p1, s0p2 = parts
         stokes = np.stack([s0, s0p1 - s0, s0p2 - s0], axis=2) * FROM_SUMS
-        return finished(DecodedView(stokes=apply_stokes_config(stokes, config.stokes)), paths[0])
+        balance(stokes, radiometry)
+        lost = np.logical_or.reduce([image.saturated for image in images])
+        view = DecodedView(stokes=apply_stokes_config(stokes, config.stokes), saturated=lost)
+        return finished(view, paths[0], images[0])
 
     return load
 

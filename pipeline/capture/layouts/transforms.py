@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 from typing import Any
 
-from pipeline.capture.assembly.assemble import find_plates
+from pipeline.capture.assembly.assemble import all_have_alpha, find_plates
 from pipeline.capture.assembly.sources import discover
 from pipeline.capture.camera_files.nerf_tables import FILE, NerfFrame, captures_below, held_out, load_frames, table_files
 from pipeline.capture.config import CaptureConfig
@@ -29,7 +29,7 @@ from pipeline.capture.naming.grouping import Group
 from pipeline.capture.recognition.stray_files import sort_out
 from pipeline.errors import UserError
 from pipeline.formats.bare_arrays import ARRAY_SUFFIXES
-from pipeline.formats.images import channel_names, image_size
+from pipeline.formats.images import image_size
 from pipeline.geometry.cameras import Camera, camera_from_frame
 
 DEFAULT_CAMERA = "camera"
@@ -107,7 +107,7 @@ def read(root: Path, config: CaptureConfig) -> Capture:
         root, name.get(sources.kind, f"{sources.kind}_transforms"), "multiview", kind, sorted_views(views),
         environments=environments, config=config, up=config.up or "y", cameras=cameras, parts=held_out(parts),
         masks=masks or ("alpha" if alpha else None), warnings=tuple(warnings), facts=facts, clean_plates=plates,
-        polarisers=polariser_priors([v.camera for v in views], config, root) if kind == "polarisers" else {},
+        polarisers=polariser_priors([v.camera for v in views], config) if kind == "polarisers" else {},
         files=(*files, *(p for v in views for p in v.paths), *masks.values(), *plate_files, *environments),
     )  # fmt: skip
 
@@ -198,14 +198,6 @@ def physical_camera(frame: dict[str, Any], path: Path, folder: Path, config: Cap
         return str(frame["camera"])
     named = [part for part in path.relative_to(folder).parts[:-1] if part in config.polarisers]
     return named[0] if named else DEFAULT_CAMERA
-
-
-def all_have_alpha(views: list[ViewSource]) -> bool:
-    """Whether every view's image carries an alpha channel (headers only)."""
-    files = [v.paths[0] for v in views if not v.paged]
-    return len(files) == len(views) and all(
-        p.suffix.lower() in (".png", ".tif", ".tiff", ".exr") and "A" in channel_names(p, plain=True) for p in files
-    )
 
 
 LAYOUT = Layout(

@@ -70,7 +70,7 @@ def read(root: Path, config: CaptureConfig) -> Capture:
     return Capture(
         root, "phygap_two_camera", "multiview", "polarisers", sorted_views(views), environments=environments, config=config,
         up=config.up or "y", cameras=cameras, masks=masks or None, files=(*files, *environments), warnings=tuple(warnings),
-        polarisers=polariser_priors({v.camera for v in views}, config, root), facts=tuple(facts),
+        polarisers=polariser_priors({v.camera for v in views}, config), facts=tuple(facts),
     )  # fmt: skip
 
 

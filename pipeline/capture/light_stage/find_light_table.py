@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from pipeline.capture.config import CaptureConfig
+from pipeline.capture.naming.files import subfolders
 from pipeline.errors import UserError
 from pipeline.rig.light_table import LightTable
 
@@ -14,7 +15,7 @@ SIGNS = (CSV, DIRECTIONS, "light_positions.txt", "LSX3_light_positions.txt", "LS
 
 def table_beside(root: Path) -> Path | None:
     """A light table among the files of a capture, or of a folder below it, by its name; None without one."""
-    for folder in (root, *_subfolders(root)):
+    for folder in (root, *subfolders(root)):
         lower = {p.name.lower(): p for p in sorted(folder.iterdir()) if p.is_file() and not p.name.startswith(".")}
         found = next((lower[name.lower()] for name in SIGNS if name.lower() in lower), None)
         found = found or next((p for name, p in lower.items() if name.endswith(".lp") and _is_lp(p)), None)
@@ -27,11 +28,6 @@ def _is_lp(path: Path) -> bool:
     """Whether a .lp file begins as RTI's do, with a count alone on its line (linear programs do not)."""
     with path.open("rb") as stream:
         return stream.readline(200).lstrip(b"\xef\xbb\xbf").strip().isdigit()
-
-
-def _subfolders(root: Path) -> list[Path]:
-    places = (p for p in sorted(root.iterdir()) if p.is_dir() and not p.name.startswith("."))
-    return [p for p in places if p.name.lower() not in ("gt", "envmaps")]
 
 
 def read_light_table(root: Path, config: CaptureConfig) -> tuple[LightTable, list[Path]]:

@@ -6,6 +6,7 @@ import re
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from pipeline.capture.naming.files import subfolders
 from pipeline.errors import UserError
 
 CAMERA = re.compile(r"^(?:cam|camera|c)[\s_.\-]*0*(?P<number>\d+)$", re.IGNORECASE)
@@ -67,7 +68,7 @@ def stage_folders(root: Path) -> dict[str, CameraFolders]:
 def _folders(root: Path, depth: int) -> list[Path]:
     if depth == 0:
         return []
-    here = [p for p in root.iterdir() if p.is_dir() and not p.name.startswith(".") and p.name.lower() not in ("gt", "envmaps")]
+    here = subfolders(root)
     return [*here, *(q for p in here for q in _folders(p, depth - 1))]
 
 

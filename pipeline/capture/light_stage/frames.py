@@ -43,8 +43,7 @@ def pass_frames(folder: Path, lights: LightTable, table: Path, first: int | None
     wanted = [int(i) + offset for i in index]
     missing = [k for k in wanted if k not in found]
     if missing:
-        named_ = ", ".join(str(k) for k in missing[:5]) + (f" and {len(missing) - 5} more" if len(missing) > 5 else "")
-        raise UserError(folder, f"lacks frame {named_} of {len(lights)} lights", "copy the missing frames")
+        raise UserError(folder, f"lacks frame {some(map(str, missing), 5)} of {len(lights)} lights", "copy the missing frames")
     frames = tuple(found[k] for k in wanted)
     between = [k for k in found if min(wanted) < k < max(wanted) and k not in set(wanted)]
     outside = [k for k in sorted(found) if k < min(wanted) or k > max(wanted)]

@@ -13,8 +13,8 @@ from pipeline.capture.naming.files import RAW_SUFFIXES
 from pipeline.capture.naming.grouping import Group, group_files
 from pipeline.capture.pixels.brackets import read_exposures
 from pipeline.capture.pixels.linear_image import LinearImage
-from pipeline.capture.radiometry.of_file import factor_of
 from pipeline.errors import UserError
+from pipeline.formats.image_parts import without_alpha
 from pipeline.formats.images import channel_names, open_image
 
 
@@ -22,14 +22,8 @@ def read_mosaic(group: Group, config: CaptureConfig) -> LinearImage:
     """The bare mosaic [H, W, 1] of one view (and its alpha), brackets merged; equal channels are one. Raises UserError on
     others."""
     path = group.paths[0]
-    if path.suffix.lower() in RAW_SUFFIXES:
-        from pipeline.capture.pixels.raw import read_raw_mosaic
-
-        samples, saturated = read_raw_mosaic(path, config.radiometry)
-        samples *= np.float32(factor_of(config.radiometry, path))
-        return LinearImage(samples[..., None], ("Y",), saturated, 16)
     image = read_exposures(group.angles[None], config.radiometry, sensor_data=True, view=group.view)
-    colours = [i for i, name in enumerate(image.names) if name.lower() != "a"]
+    colours = image.colours
     if not all(np.array_equal(image.pixels[..., colours[0]], image.pixels[..., i]) for i in colours[1:]):
         fault = f"has {len(colours)} channels that differ ({', '.join(image.names)}): it holds no polariser mosaic"
         raise UserError(path, fault, "give the sensor's own single-channel file, or move it away")
@@ -54,9 +48,9 @@ def refuse_colour(paths: Sequence[Path], config: CaptureConfig) -> None:
 
 def single_plane(path: Path) -> bool:
     """Whether an image file holds one plane: a single channel (beside alpha), or colours that are equal everywhere."""
-    names = [name for name in channel_names(path, plain=True) if name.lower() != "a"]
-    if len(names) != 3:
-        return len(names) == 1
+    colours = len(without_alpha(channel_names(path, plain=True)))
+    if colours != 3:
+        return colours == 1
     image = open_image(path, unassociated=True)
     spec = image.spec()
     try:

@@ -4,11 +4,24 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any
 
 from pipeline.errors import UserError
 from pipeline.formats.images import open_image
 
 FULL_FRAME_DIAGONAL_MM = math.hypot(36.0, 24.0)
+
+
+def header_number(spec: Any, *names: str) -> float | None:
+    """The first of these facts of a header (OpenImageIO's ImageSpec) that is a number above 0, or None."""
+    for name in names:
+        try:
+            value = float(spec.getattribute(name) or 0)
+        except (TypeError, ValueError):
+            continue
+        if value > 0 and math.isfinite(value):
+            return value
+    return None
 
 
 def focal_from_exif(path: Path) -> float | None:
@@ -24,12 +37,12 @@ def focal_from_exif(path: Path) -> float | None:
     spec = image.spec()
     image.close()
     diagonal_px = math.hypot(spec.width, spec.height)
-    equivalent = float(spec.getattribute("Exif:FocalLengthIn35mmFilm") or 0)
-    if equivalent > 0:
+    equivalent = header_number(spec, "Exif:FocalLengthIn35mmFilm")
+    if equivalent:
         return equivalent / FULL_FRAME_DIAGONAL_MM * diagonal_px
-    focal = float(spec.getattribute("Exif:FocalLength") or 0)
-    density = float(spec.getattribute("Exif:FocalPlaneXResolution") or 0)
-    unit_mm = {2: 25.4, 3: 10.0, 4: 1.0}.get(int(spec.getattribute("Exif:FocalPlaneResolutionUnit") or 2))
-    if focal > 0 and density > 0 and unit_mm:
+    focal = header_number(spec, "Exif:FocalLength")
+    density = header_number(spec, "Exif:FocalPlaneXResolution")
+    unit_mm = {2: 25.4, 3: 10.0, 4: 1.0}.get(int(header_number(spec, "Exif:FocalPlaneResolutionUnit") or 2))
+    if focal and density and unit_mm:
         return focal * density / unit_mm
     return None

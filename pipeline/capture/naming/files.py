@@ -39,6 +39,8 @@ UNREADABLE = {
 DUMPS = frozenset({".bin", ".dat", ".mat", ".bayer", ".yuv", ".fit", ".fits"})
 """Samples without a header that says what they are, or arrays: pictures where they lie in an image folder."""
 MASK_FOLDERS = ("masks", "mask")
+ASIDE = frozenset({*MASK_FOLDERS, "gt", "envmaps"})
+"""Folders, lower case, of what lies beside a capture's images."""
 IMAGE_FOLDERS = ("images", "images_full", "image", "raw", "photos")
 UNDISTORTED = frozenset({"dense", "undistorted"})
 """Folders in which COLMAP writes undistorted images, with the model that belongs to them."""
@@ -87,6 +89,11 @@ def image_folder(root: Path) -> Path:
     return root
 
 
+def subfolders(root: Path) -> list[Path]:
+    """Folders in `root`, sorted, that may hold a part of a capture: none that is hidden, of masks, truth or lights."""
+    return [p for p in sorted(root.iterdir()) if p.is_dir() and not p.name.startswith(".") and p.name.lower() not in ASIDE]
+
+
 def refuse_duplicates(named: Iterable[tuple[str, Path]]) -> None:
     """Raise UserError where two files would become the same VIEW (001.png beside 001.exr, a_b.png beside a/b.png)."""
     seen: dict[str, Path] = {}
@@ -133,10 +140,11 @@ def find_masks(root: Path, views: Mapping[str, Path], folder: Path) -> tuple[dic
     missing = sorted(set(views) - set(found))
     warnings = []
     if missing:
-        warnings.append(f"{where}: no mask for {count(missing, 'view')} ({some(missing)}); they are segmented")
+        fault = f"no mask for {count(missing, 'view')} ({some(missing)})"
+        warnings.append(f"{where}: {fault}; they are segmented: check the names of the masks")
     spare = len({id(p) for p in by_stem.values()}) - len(set(found.values()))
     if spare > 0:
-        warnings.append(f"{where}: {spare} masks belong to no image and are ignored")
+        warnings.append(f"{where}: {spare} masks belong to no image and are ignored: check their names")
     return found, warnings
 
 
@@ -151,16 +159,10 @@ def check_masks(masks: Mapping[str, Path], size_of: Callable[[str], tuple[int, i
             )
 
 
-def polariser_priors(cameras: Iterable[str], config: CaptureConfig, root: Path) -> dict[str, PolariserPrior]:
+def polariser_priors(cameras: Iterable[str], config: CaptureConfig) -> dict[str, PolariserPrior]:
     """What capture.toml tells of each physical camera's polariser; nothing told: angle unknown, to be optimised."""
-    names = sorted(set(cameras))
-    unknown = sorted(set(config.polarisers) - set(names))
-    if unknown:
-        raise UserError(
-            root / "capture.toml", f"polarisers.{unknown[0]}: no camera has this name", f"the cameras are {', '.join(names)}"
-        )
     out = {}
-    for name in names:
+    for name in sorted(set(cameras)):
         told = config.polarisers.get(name)
         if told is None:
             out[name] = PolariserPrior()

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import re
 from collections import Counter, defaultdict
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from pipeline.capture.config import CaptureConfig
+from pipeline.capture.naming.files import some
 from pipeline.errors import UserError
 from pipeline.formats.image_parts import Page
 
@@ -125,15 +126,11 @@ def _known_angles(exposures: Mapping[str, list[Exposure]], config: CaptureConfig
         fault = f"stack.angles_deg: none of the {len(missed)} images ends in {', '.join(idle)} (first: {sorted(missed)[0]})"
         raise UserError(where, fault, "write the endings of the file names, without extension")
     if missed:
-        fault = f"stack.angles_deg: no ending fits {len(missed)} of {len(exposures)} images ({_first(sorted(missed))})"
+        fault = f"stack.angles_deg: no ending fits {len(missed)} of {len(exposures)} images ({some(sorted(missed))})"
         raise UserError(where, fault, "add their endings, or move these files away")
     if idle:
         raise UserError(where, f"stack.angles_deg: no image ends in {', '.join(idle)}", "correct the ending, or remove it")
     return out
-
-
-def _first(names: list[str]) -> str:
-    return ", ".join(names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")
 
 
 def _angles(
@@ -153,7 +150,7 @@ def _angles(
         if not part or len(apart) > len(part) // 2:
             continue
         if len(apart) > FITTING * len(part):
-            names = _first(sorted(exposures[b][0].path.name for b in apart))
+            names = some(sorted(exposures[b][0].path.name for b in apart))
             fault = f"{len(part)} files make angle stacks, {len(apart)} do not ({names})"
             raise UserError(exposures[apart[0]][0].path.parent, fault, "move the ones that are no part of a stack away")
         return {b: (v, turned(a, config)) for b, (v, a) in part.items()}
@@ -212,13 +209,17 @@ def _plausible(split: Mapping[str, tuple[str, float]]) -> bool:
     if not sets:
         return False
     most = max(sets, key=lambda s: sum(frozenset(a) == s for a in by_view.values()))
-    if any(len(set(a)) != len(a) for a in by_view.values()) or len(most) < 3 or max(most) > 180:
+    if any(len(set(a)) != len(a) for a in by_view.values()) or not are_angles(most):
         return False
     alike = sum(s <= most for s in map(frozenset, by_view.values()))
     if alike < 0.9 * len(by_view):
         return False
-    steps = np.diff(sorted(most))
-    return bool(steps.min() >= MIN_STEP_DEG) and (len(by_view) > 1 or most in USUAL)
+    return len(by_view) > 1 or most in USUAL
+
+
+def are_angles(numbers: Collection[float]) -> bool:
+    """Whether numbers are polariser angles and no counts: three or more up to 180, in steps of MIN_STEP_DEG and more."""
+    return len(numbers) >= 3 and max(numbers) <= 180 and bool(np.diff(sorted(numbers)).min() >= MIN_STEP_DEG)
 
 
 def turned(angle: float, config: CaptureConfig) -> float:

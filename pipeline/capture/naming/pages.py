@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.capture.config import CaptureConfig
-from pipeline.capture.naming.grouping import ANGLE_ALONE, turned
+from pipeline.capture.naming.grouping import ANGLE_ALONE, are_angles, turned
 from pipeline.errors import UserError
-from pipeline.formats.bare_arrays import ARRAY_SUFFIXES, open_array
+from pipeline.formats.bare_arrays import ARRAY_SUFFIXES
 from pipeline.formats.image_parts import MAY_HOLD_SEVERAL, SPLIT, Page, layers, pages_of
-from pipeline.formats.images import _oiio, open_image, reason_of, srgb_decode
+from pipeline.formats.images import open_image, open_whole, srgb_decode
 
 USUAL = (0.0, 45.0, 90.0, 135.0)
 """Degrees of four pages in their order, as polarisation cameras' viewers save them."""
@@ -59,14 +59,7 @@ def angle_pages(path: Path, config: CaptureConfig, look: bool = True) -> dict[fl
 
 
 def _pages(path: Path) -> list[Page]:
-    if path.suffix.lower() in ARRAY_SUFFIXES:
-        image = open_array(path)
-    else:
-        image = _oiio().ImageInput.open(str(path))
-        if image is None:
-            reason_of(_oiio())  # or the library prints it at exit
-            open_image(path).close()  # says why
-            return [Page(0, (), ())]
+    image = open_whole(path)
     pages = pages_of(image, path)
     grey = path.suffix.lower() in (".tif", ".tiff") and image.spec().get_int_attribute("tiff:PhotometricInterpretation", 2) < 2
     image.close()
@@ -94,15 +87,9 @@ def _by_title(pages: Sequence[Page]) -> dict[float, Page] | None:
     """By titles that are angles."""
     matches = [ANGLE_ALONE.match(page.title.rpartition(".")[2]) for page in pages]
     angles = [float(m["angle"]) for m in matches if m]
-    if len(angles) < len(pages) or not _are_angles(angles):
+    if len(angles) < len(pages) or not are_angles(angles):
         return None
     return {angle: _as_picture(page) for angle, page in sorted(zip(angles, pages), key=lambda pair: pair[0])}
-
-
-def _are_angles(angles: Sequence[float]) -> bool:
-    """Whether numbers are polariser angles and no counts: three or more, in steps of more than a frame's."""
-    steps = np.diff(sorted(angles))
-    return len(angles) >= 3 and max(angles) <= 180 and bool(steps.min() >= 5)
 
 
 def _by_channel(page: Page, config: CaptureConfig) -> dict[float, Page] | None:
@@ -120,7 +107,7 @@ def _by_channel(page: Page, config: CaptureConfig) -> dict[float, Page] | None:
         if match and len(order) in (1, 3):
             places_ = tuple(page.channels[k] for k in order)
             found[turned(float(match["angle"]), config)] = _as_picture(Page(page.subimage, places_, ("Y",) * len(places_)))
-    return dict(sorted(found.items())) if _are_angles(list(found)) else None
+    return dict(sorted(found.items())) if are_angles(found) else None
 
 
 def _four_in_colour(path: Path, page: Page) -> dict[float, Page] | None:

@@ -30,7 +30,8 @@ def read_exposures(
     if len(images) == 1:
         image, seconds = images[0], known_seconds(exposures[0].path, view, radiometry.exposure_s)
         if seconds:
-            image.pixels /= np.float32(seconds)
+            for k in image.colours:
+                image.pixels[..., k] /= np.float32(seconds)
         return image
     first = images[0]
     for e, image in zip(exposures, images):
@@ -41,7 +42,11 @@ def read_exposures(
         if seconds is None:
             raise UserError(e.path, "its exposure is unknown", "name it _ev+1 or _exp0.01, or set radiometry.exposure_s")
     times = [float(s) for s in known if s is not None]
-    pixels, lost = merge_exposures([i.pixels for i in images], [i.saturated for i in images], times)
+    light = [i.pixels if i.alpha is None else i.pixels[..., i.colours] for i in images]
+    pixels, lost = merge_exposures(light, [i.saturated for i in images], times)
+    if first.alpha is not None:
+        first.pixels[..., first.colours] = pixels
+        pixels = first.pixels  # with its own alpha
     return LinearImage(pixels, first.names, lost, first.bits, first.orientation, None, first.encoding, first.frame)
 
 

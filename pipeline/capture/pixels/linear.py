@@ -13,6 +13,7 @@ from pipeline.capture.naming.files import RAW_SUFFIXES
 from pipeline.capture.pixels.frame_memory import frame_array
 from pipeline.capture.pixels.linear_image import LinearImage
 from pipeline.capture.pixels.row_bands import ROWS, LinearReader
+from pipeline.capture.radiometry.of_file import factor_of
 from pipeline.errors import UserError
 from pipeline.formats.image_parts import Page
 
@@ -22,14 +23,15 @@ def read_linear(
 ) -> LinearImage:
     """Read any image file as linear radiance, float32 in the file's own orientation (EXIF rotation is not applied).
 
-    8-bit files are sRGB unless `sensor_data` (a mosaic straight from the sensor) or capture.toml says linear; 16-bit
-    and float files are linear. Levels of capture.toml (`black_level`, `white_level`) map to 0 and 1. `page`: one image of a
-    file that holds several. Raises UserError.
+    `sensor_data`: a mosaic straight from the sensor, one channel of camera raw. 8-bit files are sRGB unless they are such,
+    or capture.toml says linear; 16-bit and float files are linear. Levels of capture.toml (`black_level`, `white_level`)
+    map to 0 and 1. `page`: one image of a file that holds several. Raises UserError.
     """
     if path.suffix.lower() in RAW_SUFFIXES:
-        from pipeline.capture.pixels.raw import read_raw_rgb
+        from pipeline.capture.pixels.raw import read_raw_mosaic, read_raw_rgb
 
-        return calibrated(read_raw_rgb(path, radiometry), path, radiometry)
+        image = (read_raw_mosaic if sensor_data else read_raw_rgb)(path, radiometry)
+        return calibrated(image, path, radiometry, sensor_data)
     reader = LinearReader(path, radiometry, sensor_data, page)
     width, height = reader.size
     pixels = frame_array((height, width, len(reader.names)))
@@ -42,22 +44,20 @@ def read_linear(
         reader.close()
     facts = (reader.bits, reader.orientation, reader.exposure_s, reader.encoding, reader.frame)
     linear = LinearImage(pixels, reader.names, saturated, *facts)
-    return calibrated(linear, path, radiometry)
+    return calibrated(linear, path, radiometry, sensor_data)
 
 
-def calibrated(image: LinearImage, path: Path, radiometry: RadiometryConfig) -> LinearImage:
+def calibrated(image: LinearImage, path: Path, radiometry: RadiometryConfig, sensor_data: bool) -> LinearImage:
     """Less the dark frame, over the flat field (whose mean is kept), at the usual exposure where the file's differs; in place.
     Raises UserError on other sizes."""
-    from pipeline.capture.radiometry.of_file import factor_of
-
-    colour = [i for i, name in enumerate(image.names) if name.lower() != "a"]
+    colour = image.colours
     bare = replace(radiometry, dark_frame=None, flat_field=None)
     dark: NDArray[np.float32] | np.float32 = np.float32(0)
     if radiometry.dark_frame:
-        dark = _reference(path, radiometry.dark_frame, bare, image, len(colour))
+        dark = _reference(path, radiometry.dark_frame, bare, image, sensor_data)
         image.pixels[..., colour] -= dark
     if radiometry.flat_field:
-        flat = _reference(path, radiometry.flat_field, bare, image, len(colour)) - dark
+        flat = _reference(path, radiometry.flat_field, bare, image, sensor_data) - dark
         if not flat.min() > 0:
             raise UserError(
                 _beside(path, radiometry.flat_field),
@@ -78,16 +78,26 @@ def _beside(path: Path, name: str) -> Path:
     return found
 
 
-def _reference(path: Path, name: str, radiometry: RadiometryConfig, image: LinearImage, colours: int) -> NDArray[np.float32]:
-    """A dark frame or flat field [H, W, colours] of the capture that `path` lies in."""
+def _reference(
+    path: Path, name: str, radiometry: RadiometryConfig, image: LinearImage, sensor_data: bool
+) -> NDArray[np.float32]:
+    """A dark frame or flat field [H, W, colours] of the capture that `path` lies in, in the encoding of its `image`."""
     found = _beside(path, name)
-    reference = read_linear(found, radiometry)
-    pixels = reference.pixels[..., [i for i, n in enumerate(reference.names) if n.lower() != "a"]]
-    if pixels.shape != (*image.pixels.shape[:2], colours):
+    reference = read_linear(found, radiometry, sensor_data)
+    if reference.bits == image.bits and reference.encoding != image.encoding:
+        reference = read_linear(found, replace(radiometry, encoding=image.encoding), sensor_data)
+    pixels = reference.pixels[..., reference.colours]
+    if pixels.shape != (*image.pixels.shape[:2], len(image.colours)):
         raise UserError(
             found, f"has the shape {pixels.shape}, {path.name} {image.pixels.shape}", "take it with the same camera"
         )
     return pixels
+
+
+def all_finite(samples: NDArray[np.float32]) -> bool:
+    """Whether every sample is finite. A finite sum has finite terms; one that is not may only have overflowed."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return bool(np.isfinite(samples.sum())) or bool(np.isfinite(samples).all())
 
 
 def fill_holes(image: NDArray[np.float32]) -> NDArray[np.bool_] | None:
@@ -95,16 +105,13 @@ def fill_holes(image: NDArray[np.float32]) -> NDArray[np.bool_] | None:
 
     Returns where they were [H, W], or None if there were none.
     """
-    # A finite sum has finite terms; one that is not may only have overflowed, which the exact test below tells.
-    if np.isfinite(image.sum()):
+    if all_finite(image):
         return None
     flat = image.reshape(*image.shape[:2], -1)
     holes: NDArray[np.bool_] = np.any(~np.isfinite(flat), axis=-1)
     if holes.all():
         flat[:] = 0
         return holes
-    if not holes.any():
-        return None
     from scipy.ndimage import distance_transform_edt
 
     row, column = distance_transform_edt(holes, return_distances=False, return_indices=True)

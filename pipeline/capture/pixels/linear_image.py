@@ -9,8 +9,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.capture.config import RadiometryConfig
 from pipeline.errors import UserError
 from pipeline.formats.exr_frame import ExrFrame
+from pipeline.formats.image_parts import without_alpha
+
+
+def balance(light: NDArray[np.float32], radiometry: RadiometryConfig) -> None:
+    """capture.toml's white balance on light [..., 3 rgb], in place."""
+    if radiometry.white_balance:
+        light *= np.asarray(radiometry.white_balance, np.float32)
 
 
 @dataclass
@@ -26,6 +34,11 @@ class LinearImage:
     exposure_s: float | None = None
     encoding: str = "linear"
     frame: ExrFrame | None = None
+
+    @property
+    def colours(self) -> list[int]:
+        """Which channels hold light: all but alpha."""
+        return without_alpha(self.names)
 
     def channels(self, wanted: Sequence[str], path: Path) -> NDArray[np.float32]:
         """The named channels [H, W, len(wanted)], case ignored. Raises UserError naming what the file has."""

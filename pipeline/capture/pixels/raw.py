@@ -30,7 +30,7 @@ def read_raw_rgb(path: Path, radiometry: RadiometryConfig) -> LinearImage:
             gamma=(1, 1), no_auto_bright=True, no_auto_scale=True, output_bps=16, user_wb=[1, 1, 1, 1],
             output_color=rawpy.ColorSpace.raw, user_flip=0, user_black=None if known is None else int(known),
         )  # fmt: skip
-        exposure = float(raw.other.shutter_speed or 0) or None
+        exposure = _shutter_s(raw)
         flip = int(raw.sizes.flip)
     rgb = rgb16.astype(np.float32) / np.float32(white - black.mean())
     saturated = _spread(clipped)[: rgb.shape[0], : rgb.shape[1]]
@@ -38,8 +38,8 @@ def read_raw_rgb(path: Path, radiometry: RadiometryConfig) -> LinearImage:
     return LinearImage(rgb, ("R", "G", "B"), saturated, 16, orientation, exposure)
 
 
-def read_raw_mosaic(path: Path, radiometry: RadiometryConfig) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-    """The bare sensor samples [H, W], 0 at black and 1 at white, and which are saturated. Raises UserError."""
+def read_raw_mosaic(path: Path, radiometry: RadiometryConfig) -> LinearImage:
+    """The bare sensor samples [H, W, 1], 0 at black and 1 at white. Raises UserError."""
     with _opened(path) as raw:
         black, white = _levels(raw, radiometry)
         samples = raw.raw_image_visible.astype(np.float32)
@@ -48,7 +48,8 @@ def read_raw_mosaic(path: Path, radiometry: RadiometryConfig) -> tuple[NDArray[n
         level = black[raw.raw_colors_visible] if len(black) > 1 else black[0]
         linear = (samples - level) / np.float32(white - black.mean())
         saturated = samples >= black.min() + (radiometry.saturation or SATURATION) * (white - black.min())
-    return linear.astype(np.float32), saturated
+        exposure = _shutter_s(raw)
+    return LinearImage(linear.astype(np.float32)[..., None], ("Y",), saturated, 16, exposure_s=exposure)
 
 
 def _opened(path: Path, samples: bool = True) -> Any:
@@ -130,4 +131,8 @@ def raw_exposure(path: Path) -> tuple[float | None, float | None, float | None]:
     """(seconds, ISO speed, f-number) from the header; None for what it does not tell. Raises UserError."""
     with _opened(path, samples=False) as raw:
         other = raw.other
-        return float(other.shutter_speed or 0) or None, float(other.iso_speed or 0) or None, float(other.aperture or 0) or None
+        return _shutter_s(raw), float(other.iso_speed or 0) or None, float(other.aperture or 0) or None
+
+
+def _shutter_s(raw: Any) -> float | None:
+    return float(raw.other.shutter_speed or 0) or None

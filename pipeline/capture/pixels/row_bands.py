@@ -9,11 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.capture.config import RadiometryConfig
+from pipeline.capture.naming.exif import header_number
 from pipeline.capture.naming.files import FLOAT_SUFFIXES
+from pipeline.capture.radiometry.of_file import for_file
 from pipeline.errors import UserError
 from pipeline.formats.exr_frame import exr_frame
 from pipeline.formats.exr_zip import open_zip_exr
-from pipeline.formats.image_parts import Page
+from pipeline.formats.image_parts import Page, without_alpha
 from pipeline.formats.images import open_image, reason_of, srgb_decode
 
 ROWS = 32
@@ -30,8 +32,6 @@ class LinearReader:
 
     def __init__(self, path: Path, radiometry: RadiometryConfig, sensor_data: bool = False, page: Page | None = None) -> None:
         """Raises UserError where the file is not there, empty or no image, or holds several and none is chosen (`page`)."""
-        from pipeline.capture.radiometry.of_file import for_file
-
         radiometry = for_file(radiometry, path)
         self.path, self.radiometry = path, radiometry
         self._image = open_image(path, page, unassociated=page is not None, plain=True)
@@ -44,7 +44,7 @@ class LinearReader:
         self.frame = exr_frame(spec, path)
         self.size = self.frame.size
         self.orientation = int(spec.get_int_attribute("Orientation", 1)) if path.suffix.lower() != ".hdr" else 1
-        self.exposure_s = float(spec.get_float_attribute("ExposureTime", 0.0)) or None
+        self.exposure_s = header_number(spec, "ExposureTime")
         self.encoding = radiometry.encoding or ("srgb" if self.bits == 8 and not sensor_data else "linear")
         self._top, self._tiled = spec.y, bool(spec.tile_width)
         self._whole: NDArray[Any] | None = None
@@ -145,7 +145,7 @@ def apply_levels(
     encoding: str,
 ) -> None:
     """capture.toml's levels on float (or 32-bit) samples [H, W, C] in place; fills where a colour is saturated [H, W]."""
-    colour = [i for i, name in enumerate(names) if name.lower() != "a"]
+    colour = without_alpha(names)
     saturated[...] = False
     if bits or radiometry.white_level is not None:
         full = float(2**bits - 1) if bits else 1.0

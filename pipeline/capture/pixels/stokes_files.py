@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pipeline.capture.config import CaptureConfig, RadiometryConfig, StokesConfig
 from pipeline.capture.model import DecodedView
 from pipeline.capture.pixels.linear import fill_holes, read_linear
-from pipeline.capture.pixels.linear_image import LinearImage
+from pipeline.capture.pixels.linear_image import LinearImage, balance
 from pipeline.capture.pixels.stokes_frame import apply_stokes_config
 from pipeline.capture.radiometry.exposure import known_seconds
 from pipeline.capture.radiometry.of_file import factor_of
@@ -48,8 +48,7 @@ def stokes_exr_loader(path: Path, config: CaptureConfig, view_name: str | None =
         stokes = apply_stokes_config(stokes_of(image, path), config.stokes)
         if seconds := known_seconds(path, view_name, config.radiometry.exposure_s):
             stokes /= np.float32(seconds)
-        if config.radiometry.white_balance:
-            stokes *= np.asarray(config.radiometry.white_balance, np.float32)
+        balance(stokes, config.radiometry)
         view = finished(DecodedView(stokes=stokes, saturated=image.saturated, alpha=image.alpha), path)
         view.faults |= primaries_remark(image.frame)
         if config.stokes == StokesConfig() and is_verbatim(view, image, path, STOKES, config):

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+T = TypeVar("T")
 BITS = (8, 10, 12, 14)
 """Of industrial and photographic sensors' samples."""
 LOOKED_AT = 32_000_000
@@ -28,16 +29,14 @@ class CodeRange:
     clipped: int
 
 
-def code_range(images: Iterable[NDArray[np.uint16]]) -> CodeRange | None:
+def code_range(images: Sequence[NDArray[np.uint16]]) -> CodeRange | None:
     """What codes [..] of 16-bit files tell: fewer bits with clipped samples at their end; None where nothing says so.
 
     A picture without clipped samples tells nothing: it may be a dark one of 16 bits.
     """
-    total = np.zeros(1 << 16, np.int64)
-    used = 0
+    total, used = np.zeros(1 << 16, np.int64), bits_used(images)
     for codes in images:
         total += np.bincount(codes.ravel(), minlength=1 << 16)
-        used |= int(np.bitwise_or.reduce(codes, axis=None))
     lit = np.flatnonzero(total)
     if not len(lit) or lit[-1] == 0:
         return None
@@ -52,6 +51,11 @@ def code_range(images: Iterable[NDArray[np.uint16]]) -> CodeRange | None:
     return None
 
 
+def bits_used(images: Sequence[NDArray[np.uint16]]) -> int:
+    """The bitwise or of all codes."""
+    return int(np.bitwise_or.reduce([np.bitwise_or.reduce(codes, axis=None) for codes in images], initial=0))
+
+
 def moved_up(used: int) -> float | None:
     """The white level of samples moved to the top of 16 bits, whose codes are all multiples of 2^k (k > 0); else None.
 
@@ -63,9 +67,9 @@ def moved_up(used: int) -> float | None:
     return float((1 << 16) - step)
 
 
-def some_of(paths: Sequence[Path], samples_each: int) -> list[Path]:
-    """As many files, evenly spread, as `LOOKED_AT` samples allow (two at least)."""
+def some_of(files: Sequence[T], samples_each: int) -> list[T]:
+    """As many files (or views), evenly spread, as `LOOKED_AT` samples allow (two at least)."""
     most = max(2, LOOKED_AT // max(1, samples_each))
-    if len(paths) <= most:
-        return list(paths)
-    return [paths[k] for k in np.unique(np.linspace(0, len(paths) - 1, most).round().astype(int))]
+    if len(files) <= most:
+        return list(files)
+    return [files[k] for k in np.unique(np.linspace(0, len(files) - 1, most).round().astype(int))]

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.capture.config import RadiometryConfig
+from pipeline.capture.naming.exif import header_number
 from pipeline.capture.naming.files import RAW_SUFFIXES, count, some
 from pipeline.errors import UserError
 from pipeline.formats.images import open_image
@@ -55,21 +56,9 @@ class HeaderExposure:
 
 def exposure_of(spec: Any) -> HeaderExposure:
     """From an open image's header (OpenImageIO)."""
-
-    def number(*names: str) -> float | None:
-        for name in names:
-            try:
-                value = float(spec.getattribute(name) or 0)
-            except (TypeError, ValueError):
-                continue
-            if value > 0 and math.isfinite(value):
-                return value
-        return None
-
+    speeds = ("Exif:PhotographicSensitivity", "Exif:ISOSpeedRatings", "Exif:ISOSpeed", "isoSpeed")
     return HeaderExposure(
-        number("ExposureTime"),
-        number("Exif:PhotographicSensitivity", "Exif:ISOSpeedRatings", "Exif:ISOSpeed", "isoSpeed"),
-        number("FNumber"),
+        header_number(spec, "ExposureTime"), header_number(spec, *speeds), header_number(spec, "FNumber")
     )
 
 

@@ -14,11 +14,12 @@ from pipeline.capture.angle_stack.solve import polariser_design
 from pipeline.capture.config import CaptureConfig, RadiometryConfig
 from pipeline.capture.naming.files import RAW_SUFFIXES, count, some
 from pipeline.capture.naming.grouping import Exposure, Group
-from pipeline.capture.radiometry.code_range import code_range, moved_up, some_of
+from pipeline.capture.radiometry.code_range import bits_used, code_range, moved_up, some_of
 from pipeline.capture.radiometry.encoding import find_encoding, impossible_share, mosaic_codes, stack_codes
 from pipeline.capture.radiometry.exposure import HeaderExposure, even_out, exposure_of, read_exposure
 from pipeline.capture.radiometry.of_file import FoundRadiometry, factor_of
 from pipeline.errors import UserError
+from pipeline.formats.image_parts import without_alpha
 from pipeline.formats.images import open_image, srgb_decode
 
 if TYPE_CHECKING:
@@ -98,27 +99,19 @@ def _white_level(files: Sequence[Exposure]) -> tuple[float | None, list[str]]:
         image.close()
         if pixels is None:
             return np.zeros(0, np.uint16)  # its reader says what is wrong
-        colour = [k for k, name in enumerate(spec.channelnames) if name.lower() != "a"]
+        colour = without_alpha(spec.channelnames)
         return np.asarray(pixels).reshape(-1, spec.nchannels)[:, colour].astype(np.uint16, copy=False)
 
-    by_path = {(e.path, e.page): e for e in files}
     first = open_image(files[0].path, files[0].page)
     own = getattr(first, "white_level", None)
     size = first.spec().width * first.spec().height * first.spec().nchannels
     first.close()
     if own is not None:
         return own, []  # set by raw.format
-    used = 0
-
-    def looked() -> list[NDArray[np.uint16]]:
-        return [codes(by_path[key]) for key in _spread(list(by_path), size)]
-
-    samples = looked()
+    samples = [codes(e) for e in some_of(list(dict.fromkeys(files)), size)]
     found = code_range(samples)
-    for image in samples:
-        used |= int(np.bitwise_or.reduce(image, axis=None)) if image.size else 0
     if found is None:
-        return (moved_up(used) if used else None), []
+        return moved_up(bits_used(samples)), []
     line = (
         f"{files[0].path}: codes of these 16-bit files end at {found.white_level:g}, which {found.clipped} samples have: they "
         f"are taken as {found.bits}-bit codes, clipped there; say so in capture.toml: "
@@ -129,11 +122,6 @@ def _white_level(files: Sequence[Exposure]) -> tuple[float | None, list[str]]:
 
 def _is_raw(group: Group) -> bool:
     return any(path.suffix.lower() in RAW_SUFFIXES for path in group.paths)
-
-
-def _spread(keys: list, samples_each: int) -> list:
-    places = some_of([Path(str(k)) for k in range(len(keys))], samples_each)
-    return [keys[int(str(p))] for p in places]
 
 
 def _encodings(
@@ -147,8 +135,7 @@ def _encodings(
     size = open_image(usable[0].paths[0], next(iter(usable[0].angles.values()))[0].page)
     each = size.spec().width * size.spec().height * size.spec().nchannels * len(usable[0].angles)
     size.close()
-    some_groups = _spread(usable, each)
-    samples = {g.view: _codes_of(g, config, kind, bayer) for g in some_groups}
+    samples = {g.view: _codes_of(g, config, kind, bayer) for g in some_of(usable, each)}
     known = {view: _encoding_of(found, usual) for view, found in samples.items()}
     other = "linear" if usual == "srgb" else "srgb"
     if usual not in known.values() and other not in known.values() and _together(list(samples.values()), usual) == other:

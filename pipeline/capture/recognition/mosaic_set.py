@@ -12,6 +12,7 @@ from pipeline.capture.config import CaptureConfig, MosaicConfig
 from pipeline.capture.mosaic.sensor_files import CARRIER_SHARE, carriers_seen, single_plane
 from pipeline.capture.naming.files import FLOAT_SUFFIXES, RAW_SUFFIXES, some
 from pipeline.errors import UserError
+from pipeline.formats.image_parts import without_alpha
 from pipeline.formats.images import channel_names, image_size
 
 CLEARLY_NONE = CARRIER_SHARE / 4
@@ -62,8 +63,8 @@ def _kind(path: Path) -> tuple[str, int]:
     suffix = path.suffix.lower()
     if suffix in RAW_SUFFIXES:
         return "raw", 1
-    colours = [name for name in channel_names(path, plain=True) if name.lower() != "a"]
-    return "float" if suffix in FLOAT_SUFFIXES else "codes", len(colours)
+    colours = len(without_alpha(channel_names(path, plain=True)))
+    return "float" if suffix in FLOAT_SUFFIXES else "codes", colours
 
 
 def _may_hold(kind: tuple[str, int], files: list[Path], specified: bool) -> bool:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from pipeline.capture.naming.files import RAW_SUFFIXES
 from pipeline.capture.pixels.raw import raw_preview
 from pipeline.errors import UserError
+from pipeline.formats.image_parts import without_alpha
 from pipeline.formats.images import image_size, read_stored, srgb_decode
 
 Plane = NDArray[np.float64]
@@ -145,7 +146,7 @@ def _small_grey(path: Path) -> Plane:
     import cv2
 
     pixels, names, kind = _pixels(path)
-    colours = [i for i, name in enumerate(names) if name.lower() != "a"][:3]
+    colours = without_alpha(names)[:3]
     step = max(1, max(pixels.shape[:2]) // (SIDE * OVERSAMPLED)) | 1  # odd: all polarisers of a mosaic have a part
     grey = np.nan_to_num(pixels[::step, ::step, colours].mean(-1), posinf=0.0, neginf=0.0)
     grey = srgb_decode(np.clip(grey, 0, 1)) if kind == "uint8" else np.maximum(grey, 0)

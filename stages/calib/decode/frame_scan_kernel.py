@@ -9,12 +9,14 @@ from numpy.typing import NDArray
 
 from pipeline.kernels.compiling import kernel
 
+INFINITE = np.float32(np.inf)
+
 
 @kernel(nogil=True)
 def _survey(stokes: NDArray[np.float32], mend: bool) -> tuple[int, int, np.float32]:
     """(pixels with a negative s0, pixels with |(s1, s2)| > s0, largest magnitude) of [H, W, 3, 3].
 
-    `mend` projects both kinds in place; the magnitude is that of what is left.
+    `mend` projects both kinds in place; the magnitude is that of what is left, but infinite where anything was.
     """
     negative, impossible, top = 0, 0, np.float32(0)
     for y in range(stokes.shape[0]):
@@ -29,10 +31,12 @@ def _survey(stokes: NDArray[np.float32], mend: bool) -> tuple[int, int, np.float
                 if s0 < 0:
                     below = True
                     if mend:
+                        top = max(top, INFINITE) if np.isinf(s0) else top
                         stokes[y, x, 0, c] = stokes[y, x, 1, c] = stokes[y, x, 2, c] = 0
                 elif s1 * s1 + s2 * s2 > s0 * s0:
                     above = True
                     if mend:
+                        top = max(top, INFINITE) if np.isinf(s1) or np.isinf(s2) else top
                         factor = s0 / np.sqrt(s1 * s1 + s2 * s2)
                         stokes[y, x, 1, c] = s1 * factor
                         stokes[y, x, 2, c] = s2 * factor

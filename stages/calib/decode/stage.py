@@ -45,7 +45,7 @@ def run(stage: StageRun) -> None:
 
 STAGE = Stage(
     name="decode",
-    version=5,
+    version=6,
     parameters=DecodeParameters,
     needs=(),
     needed=needed,

@@ -28,6 +28,11 @@ HALF_FAITHFUL = 2.0**-5
 """A half float keeps 11 bits down to 2^-14; where a frame's brightest sample is above this, the nine bits below it that
 an eye or a fit can use stay exact. Dimmer frames are kept as float."""
 
+OVERFLOW = "check stokes.scale, radiometry.white_balance and exposure_s in capture.toml, or export it in other units"
+
+SQUARES = 1e18
+"""Radiance whose square single precision still holds: polarised light is compared by squares."""
+
 
 @dataclass
 class FrameRecord:
@@ -88,6 +93,8 @@ def _decode_one(source: ViewSource, stage: StageRun) -> tuple[str, FrameRecord]:
         record.negative, record.impossible, peak = survey.negative, survey.impossible, survey.peak
     else:
         peak = float(image.max(initial=0.0))
+    if not np.isfinite(peak) or (peak > SQUARES and not np.isfinite(image).all()):
+        raise UserError(source.paths[0], "its radiance is more than single precision holds", OVERFLOW)
     record.black = not (peak > 0 and bool((decoded.s0 > 0).any()))  # a NaN is no light
     half = _half(peak, stage.parameters.precision)
     if decoded.verbatim is not None and stage.parameters.precision == "auto":
