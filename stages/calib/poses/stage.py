@@ -48,7 +48,7 @@ def run(stage: StageRun) -> None:
 
 STAGE = Stage(
     name="poses",
-    version=3,
+    version=4,
     parameters=PosesParameters,
     needs=("decode",),
     needed=needed,
