@@ -15,6 +15,7 @@ from pipeline.capture.view_rules import held_back
 from pipeline.engine.changes import WORDS, State, outlook, standing
 from pipeline.engine.plan import Step, plan_as_json
 from pipeline.errors import UserError
+from pipeline.formats.given_mask import read_given
 from pipeline.formats.images import RGB, read_image, write_fault
 from pipeline.geometry.axes import nearest_to_lines
 from pipeline.geometry.cameras import Camera
@@ -133,7 +134,7 @@ def _stage_pictures(camera: Any) -> list[dict[str, str]]:
     if camera.mask is not None:
         out.append(
             picture(
-                pictures.scale(read_image(camera.mask)[..., 0], 0, 1, ((0, 0, 0), (255, 255, 255))), "mask", "given", LONGEST
+                pictures.scale(read_given(camera.mask).pixels, 0, 255, ((0, 0, 0), (255, 255, 255))), "mask", "given", LONGEST
             )
         )
     return out
@@ -153,7 +154,7 @@ def _view_pictures(capture: Capture, name: str) -> list[dict[str, str]]:
     ]
     mask: NDArray | None = decoded.alpha
     if isinstance(capture.masks, dict) and name in capture.masks:
-        mask = read_image(capture.masks[name])[..., 0]
+        mask = read_given(capture.masks[name]).pixels / 255
     if mask is not None and mask.shape == image.shape[:2]:
         shade = pictures.radiance(image, exposure_of(image)).astype(float)
         tinted = np.where((mask > 0.5)[..., None], shade, 0.25 * shade + np.array([120, 30, 20]))

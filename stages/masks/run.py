@@ -14,11 +14,11 @@ from pipeline.capture.naming.files import count, some
 from pipeline.engine.stage import StageRun
 from pipeline.errors import UserError
 from pipeline.formats.dataset_files import MASKS
+from pipeline.formats.given_mask import THRESHOLD, GivenMask, read_given
 from pipeline.formats.images import read_stokes, write_png
 from pipeline.geometry.cameras import Camera
 from pipeline.geometry.lens import frame_table, frames_folder, lenses
 from pipeline.geometry.separate_worlds import ONE_WORLD
-from stages.masks.given import THRESHOLD, GivenMask, read_given
 from stages.masks.parameters import choose_method
 
 CHECK_SIZE = 240

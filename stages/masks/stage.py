@@ -32,7 +32,7 @@ def run(stage: StageRun) -> None:
 
 STAGE = Stage(
     name="masks",
-    version=5,
+    version=6,
     parameters=MasksParameters,
     needs=("decode", "poses"),
     needed=needed,

@@ -23,10 +23,12 @@ def other_world(masks: list[NDArray[np.bool_]], cameras: list[Camera]) -> tuple[
     for k, camera in enumerate(cameras):
         groups.setdefault(camera.name, []).append(k)
     large = {name: _some(members) for name, members in groups.items() if len(members) >= FEWEST}
-    for first, second in combinations(sorted(large), 2):
-        apart = [_agree(masks, cameras, large[name]) for name in (first, second)]
-        if any(a is None or np.mean([view.suspicious for view in a]) > 0.5 for a in apart):
-            continue  # masks that do not agree among themselves say nothing of another camera
+    if len(large) < 2:
+        return None
+    apart = {name: _agree(masks, cameras, chosen) for name, chosen in large.items()}
+    # masks that do not agree among themselves say nothing of another camera
+    sound = [name for name, a in apart.items() if a is not None and np.mean([view.suspicious for view in a]) <= 0.5]
+    for first, second in combinations(sorted(sound), 2):
         together = _agree(masks, cameras, large[first] + large[second])
         if together is None:
             return first, second

@@ -53,7 +53,7 @@ def run(stage: StageRun) -> None:
 
 STAGE = Stage(
     name="olat",
-    version=7,
+    version=8,
     parameters=OlatParameters,
     needs=("decode", "masks"),
     needed=needed,

@@ -5,11 +5,11 @@ import warnings
 import numpy as np
 import pytest
 
+from pipeline.formats.given_mask import read_given
 from pipeline.formats.images import write_png
 from pipeline.geometry.cameras import Camera
 from stages.masks.contour_check import contour_evidence
 from stages.masks.doubts import one_sided, segmentation_faults
-from stages.masks.given import read_given
 
 from .conftest import look_at
 
@@ -62,6 +62,16 @@ def test_masks_in_the_alpha_or_another_channel_are_found(tmp_path):
     for mask, word in ((alpha, "alpha"), (coloured, "brightest")):
         np.testing.assert_array_equal(mask.pixels > 127, OBJECT)
         assert mask.reading is not None and word in mask.reading
+
+
+def test_a_picture_that_is_cut_out_is_masked_by_its_alpha(tmp_path):
+    rgba = np.random.default_rng(0).integers(0, 255, (20, 30, 4)).astype(np.uint8)
+    rgba[..., 3] = np.where(OBJECT, 255, 0)
+    mask = read_given(written(tmp_path / "m.png", rgba))
+    np.testing.assert_array_equal(mask.inside, OBJECT)
+    assert mask.reading is not None and "alpha" in mask.reading
+    rgba[..., :3] = rgba[..., 3:]
+    assert read_given(written(tmp_path / "w.png", rgba)).reading is None
 
 
 def test_an_object_seen_edge_on_is_no_mask_of_two_values(tmp_path):

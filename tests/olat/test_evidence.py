@@ -1,5 +1,6 @@
 """A light stage tells of its own faults: lights in another frame or order, passes that do not belong together, poor tables."""
 
+import warnings
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -11,7 +12,8 @@ from pipeline.rig.light_table import LightTable
 from pipeline.rig.solid_angles import fibonacci_sphere
 from stages.olat.evidence.after_fits import Verdict
 from stages.olat.evidence.before_fits import Seen, explain, say_brightness, say_frame
-from stages.olat.evidence.light_frame import spoken, turns
+from stages.olat.evidence.frame_order import lambert
+from stages.olat.evidence.light_frame import spoken, surrounded, turns
 from stages.olat.evidence.light_table_faults import table_faults
 from stages.olat.evidence.pass_check import compare, pass_faults
 from stages.olat.pixel_fit.result_layout import AWAY, FLAG, NO_LOBE, RESIDUAL, WIDTH
@@ -28,15 +30,23 @@ def scattered(count: int = 50) -> np.ndarray:
 LIGHTS = scattered()
 
 
-def ball(noise: float = 0.0, shine: float = 0.05) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Crossed, parallel samples [N, P, 3], view and outline [P, 3] of a ball under LIGHTS, seen along VIEW."""
+def dome(degrees: float, axis: np.ndarray) -> np.ndarray:
+    """60 lights within this angle of an axis."""
+    all_around = fibonacci_sphere(4000)
+    return RNG.permutation(all_around[all_around @ axis > np.cos(np.radians(degrees))])[:60]
+
+
+def ball(
+    noise: float = 0.0, shine: float = 0.05, lights: np.ndarray = LIGHTS
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Crossed, parallel samples [N, P, 3], view and outline [P, 3] of a ball under lights [N, 3], seen along VIEW."""
     n = fibonacci_sphere(700)
     n = n[n @ VIEW > 0.1]
     flat = n - VIEW * (n @ VIEW)[:, None]
     rim = (n @ VIEW < 0.35)[:, None]
     out = np.where(rim, flat / np.linalg.norm(flat, axis=1, keepdims=True), 0.0)
-    cosine = np.clip(LIGHTS @ n.T, 0, None)
-    h = LIGHTS + VIEW
+    cosine = np.clip(lights @ n.T, 0, None)
+    h = lights + VIEW
     h /= np.linalg.norm(h, axis=1, keepdims=True)
     z = np.clip(h @ n.T, 1e-3, 1)
     lobe = shine * np.exp(-(1 / z**2 - 1) / 0.3**2) / (4 * np.pi * 0.3**2 * z**4) * (cosine > 0)
@@ -78,6 +88,38 @@ def test_a_sound_stage_is_not_doubted(noise):
 
 def test_a_sound_stage_without_highlights_is_not_doubted():
     assert judged(LIGHTS, ball(shine=0.0)) == []
+
+
+@pytest.mark.parametrize("axis", [VIEW, np.array([0.0, 1, 0])], ids=["before", "above"])
+@pytest.mark.parametrize("degrees", [30, 60, 90])
+@pytest.mark.parametrize("noise, shine", [(0.0, 0.05), (0.01, 0.05), (0.003, 0.0), (0.03, 0.0)])
+def test_a_sound_dome_is_not_doubted_for_highlights_beyond_its_edge(degrees, axis, noise, shine):
+    lights = dome(degrees, axis)
+    assert judged(lights, ball(noise, shine, lights)) == []
+
+
+def test_a_turned_dome_is_named_by_the_highlights_within_it():
+    lights = dome(90, VIEW)
+    c, s = np.cos(0.52), np.sin(0.52)
+    (line,) = judged(lights @ np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]), ball(lights=lights))
+    assert "highlights lie" in line
+
+
+def test_lights_at_the_edge_of_a_dome_are_not_surrounded():
+    lights = fibonacci_sphere(240)
+    lights = lights[lights @ VIEW > 0.5]
+    inner = surrounded(lights)
+    assert inner[lights @ VIEW > np.cos(np.radians(40))].all() and not inner[lights @ VIEW < np.cos(np.radians(58))].any()
+    assert surrounded(fibonacci_sphere(346)).all()
+
+
+def test_pixels_without_crossed_light_are_passed_over():
+    light = np.clip(LIGHTS @ fibonacci_sphere(60).T, 0, None)
+    light[:, ::3] = 0
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        _, misfit = lambert(light, LIGHTS)
+    assert np.isnan(misfit[::3]).all() and np.nanmax(misfit) < 1e-6
 
 
 @pytest.mark.parametrize("turn", list(turns())[1:], ids=spoken)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from pipeline.rig.lobe_names import LOBES
 from stages.olat.pixel_fit.many_pixels import fit
 from stages.olat.pixel_fit.result_layout import BAD_SAMPLES, BLACK, FLAG, GOOD, NO_LOBE, SATURATED, TOO_FEW, map_slices
 from synth.olat_pixels import angle_deg, make
@@ -123,6 +124,18 @@ def test_light_exactly_opposite_the_view_is_harmless(run):
     p = make(5, sigma=(0.3, 0.3))
     p.view[:] = -p.rig.directions[10]
     assert np.isfinite(run(p)).all()
+
+
+@pytest.mark.parametrize("lobe", ["ward", "beckmann", "ggx"])
+def test_a_light_exactly_opposite_the_view_has_no_say_where_no_diffuse_normal_is_known(lobe, run):
+    p = make(50, sigma=(0.3, 0.3), seed=6, lobe=lobe)
+    p.parallel -= p.cross
+    p.cross[:] = 0
+    p.rig.directions[0] = -p.view[0]
+    p.parallel[0] = 0
+    rows = run(p, lobe=LOBES[lobe])
+    assert rows[0, AT["specular_albedo"]] == pytest.approx(p.specular[0], rel=0.01)  # 1e-14 where the lobe of h = 0 counts
+    assert np.abs(rows[0, AT["sigma"]] / 0.3 - 1).max() < 0.01
 
 
 def test_very_bright_and_very_dim_captures_give_the_same_maps(run, settings):

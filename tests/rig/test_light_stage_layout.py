@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from pipeline.capture import open_capture
+from pipeline.capture.config import CaptureConfig
+from pipeline.capture.light_stage.find_light_table import light_table_file
 from pipeline.errors import UserError
 from pipeline.formats.images import write_exr, write_mask
 from pipeline.geometry.cameras import camera_from_frame
@@ -116,3 +118,10 @@ def test_a_camera_matrix_that_is_no_rotation_is_refused(tmp_path):
     path.write_text(path.read_text().replace("1 0 0 0\n0 1", "2 0 0 0\n0 1"))
     with pytest.raises(UserError, match="no rotation"):
         open_capture(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["Lights.csv", "LSX3_light_positions.txt", "dome.lp", "light_directions.txt"])
+def test_every_kind_of_light_table_is_found_by_its_file(tmp_path, name):
+    assert light_table_file(tmp_path, CaptureConfig()) is None
+    (tmp_path / name).write_text("1\na.png 0 0 1\n")
+    assert light_table_file(tmp_path, CaptureConfig()) == tmp_path / name

@@ -8,6 +8,7 @@ from pipeline.capture.config import CaptureConfig
 from pipeline.capture.naming.files import subfolders
 from pipeline.errors import UserError
 from pipeline.rig.light_table import LightTable
+from pipeline.rig.light_table_files import LSX3_POSITIONS, LSX3_SPIRAL, read_lights_csv, read_lsx3
 
 CSV, DIRECTIONS = "lights.csv", "light_directions.txt"
 SIGNS = (CSV, DIRECTIONS, "light_positions.txt", "LSX3_light_positions.txt", "LSX3_light_z_spiral.txt", "light_intensities.txt")
@@ -30,20 +31,25 @@ def _is_lp(path: Path) -> bool:
         return stream.readline(200).lstrip(b"\xef\xbb\xbf").strip().isdigit()
 
 
+def light_table_file(root: Path, config: CaptureConfig) -> Path | None:
+    """The file that tells where a capture's lights are (of LSX3's two, the positions); None without one."""
+    if config.olat.lights is not None:
+        return root / config.olat.lights
+    path = next((p for p in (root / CSV, *(q for q in root.iterdir() if q.name.lower() == CSV)) if p.is_file()), None)
+    if path is None and any((root / name).is_file() for name in (LSX3_POSITIONS, LSX3_SPIRAL)):
+        return root / LSX3_POSITIONS
+    return path or table_beside(root)
+
+
 def read_light_table(root: Path, config: CaptureConfig) -> tuple[LightTable, list[Path]]:
     """The lights, and the files that they were read from, the last of them named in errors. Raises UserError."""
-    from pipeline.rig.light_table_files import LSX3_POSITIONS, LSX3_SPIRAL, read_lights_csv, read_lsx3
     from pipeline.rig.lp_light_tables import INTENSITIES, NAMES, read_directions, read_lp
 
-    lsx3 = [root / LSX3_POSITIONS, root / LSX3_SPIRAL]
-    path: Path | None = root / config.olat.lights if config.olat.lights is not None else None
-    if path is None:
-        path = next((p for p in (root / CSV, *(q for q in root.iterdir() if q.name.lower() == CSV)) if p.is_file()), None)
-    if path is None and any(p.is_file() for p in lsx3):
-        return read_lsx3(root), lsx3
-    path = path or table_beside(root)
+    path = light_table_file(root, config)
     if path is None:
         raise UserError(root, "the frames have no light table", f"add lights.csv, or {LSX3_POSITIONS} and {LSX3_SPIRAL}")
+    if path == root / LSX3_POSITIONS:
+        return read_lsx3(root), [path, root / LSX3_SPIRAL]
     if path.suffix.lower() == ".lp" and path.is_file():
         return read_lp(path), [path]
     if path.name.lower() == DIRECTIONS and path.is_file():

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.engine.stage import StageRun
+from pipeline.formats.given_mask import read_given
 from pipeline.formats.images import read_image, srgb_encode, write_fault, write_mask
 
 
@@ -78,8 +79,7 @@ def write_masks(stage: StageRun, folder: Path, proxies: Iterable[Proxy]) -> Path
     if any(p.view not in masks for p in proxies):
         return None  # COLMAP drops images without a mask, silently
     for p in proxies:
-        mask = read_image(masks[p.view])[..., 0] > 0.5
-        write_mask(folder / f"{p.name}.png", mask)
+        write_mask(folder / f"{p.name}.png", read_given(masks[p.view]).inside)
     return folder
 
 

@@ -27,11 +27,14 @@ def needed(capture: Capture, parameters: PosesParameters) -> Decision:
 
 
 def capture_files(capture: Capture) -> Iterable[Path]:
-    """The files that hold cameras: whatever is neither a view, a mask nor an environment."""
+    """The files that hold cameras (neither views, masks nor environments), and masks where cameras depend on them."""
+    from pipeline.geometry.straight_camera import is_wide
+
     views = {p for view in capture.views for p in view.paths}
     masks = set(capture.masks.values()) if isinstance(capture.masks, dict) else set()
     others = views | masks | set(capture.environments)
-    return [p for p in capture.files if p not in others] + (sorted(masks) if capture.cameras is None else [])
+    masked = capture.cameras is None or any(is_wide(camera) for camera in capture.cameras.values())
+    return [p for p in capture.files if p not in others] + (sorted(masks) if masked else [])
 
 
 def run(stage: StageRun) -> None:
@@ -48,7 +51,7 @@ def run(stage: StageRun) -> None:
 
 STAGE = Stage(
     name="poses",
-    version=3,
+    version=4,
     parameters=PosesParameters,
     needs=("decode",),
     needed=needed,

@@ -17,6 +17,7 @@ from pipeline.capture.naming.files import count, some
 from pipeline.engine.stage import StageRun
 from pipeline.errors import UserError
 from pipeline.formats.dataset_files import CAMERAS
+from pipeline.formats.given_mask import read_given
 from pipeline.formats.images import read_image, read_mask, read_stored, write_exr, write_mask, write_png
 from pipeline.geometry.cameras import Camera, save_cameras
 from pipeline.geometry.lens import FRAMES, LENSES, Straightener, bends
@@ -89,11 +90,11 @@ def _objects(stage: StageRun, bent: Mapping[str, Camera], views: Mapping[str, An
     for view, camera in bent.items():
         if not is_wide(camera):
             continue
-        path = masks.get(view) if isinstance(masks, dict) else None
-        if path is None and masks == "alpha" and view in views and views[view]["alpha"]:
-            path = stage.inputs["decode"] / views[view]["alpha"]
-        if path is not None:
-            out[view] = object_rays(camera, read_mask(path))
+        inside = read_given(masks[view]).inside if isinstance(masks, dict) and view in masks else None
+        if masks == "alpha" and view in views and views[view]["alpha"]:
+            inside = read_mask(stage.inputs["decode"] / views[view]["alpha"])
+        if inside is not None:
+            out[view] = object_rays(camera, inside)
         elif camera.lens == "EQUIRECTANGULAR":
             fault = f"view {view} is equirectangular: nothing tells where the object is"
             remedy = "add masks/, so that it can be looked at as a pinhole camera would, or cut perspective pictures out"

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.capture.light_stage.find_light_table import light_table_file
 from pipeline.engine.stage import StageRun
 from pipeline.errors import UserError
 from pipeline.rig.light_table import LightTable
@@ -44,6 +45,7 @@ LOOKED_AT = 300  # pixels: medians over them are known to 6 %
 MOST_AWAY = 0.5  # share of normals that face away from the camera above which every map would be wrong
 UNEVEN = 0.1  # spread (standard deviation of the logarithm) of the lights' brightnesses worth a line
 COLOURED = 0.05  # the same of their colours
+BEHIND = -0.25  # cosine below which a light is surely behind the surface
 
 
 def check_rig(stage: StageRun, rig: LightTable, near: bool) -> None:
@@ -148,8 +150,7 @@ class Seen:
             return None
         normal = m[determined] / np.linalg.norm(m[determined], axis=1, keepdims=True)
         shine = self.shine[:, determined]
-        noise = np.sqrt(2 * np.mean(np.where(w @ normal.T < -0.25, shine, 0) ** 2, 0))
-        return Look(normal, self.view[determined], peaks(shine, noise, w), self.outward[determined])
+        return Look(normal, self.view[determined], peaks(shine, _noise(shine, w @ normal.T), w), self.outward[determined])
 
     @classmethod
     def of(cls, pilot: list[Piece], rig: LightTable, irradiance: float, factor: float) -> Seen | None:
@@ -211,12 +212,19 @@ def say_brightness(stage: StageRun, order: Order, samples: Seen, w: NDArray[np.f
     )
 
 
+def _noise(shine: NDArray[np.float64], cosine: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Deviation [P] of specular samples [N, P]: what is negative betrays it, and what lights behind the surface show."""
+
+    def deviation(chosen: NDArray[np.bool_]) -> NDArray[np.float64]:
+        return np.sqrt(np.sum(np.where(chosen, shine, 0) ** 2, 0) / np.maximum(chosen.sum(0), 1))
+
+    return np.maximum(deviation(shine < 0), deviation(cosine < BEHIND))
+
+
 def _floats(samples: NDArray) -> NDArray[np.float64]:
     return (half_table()[samples] if samples.dtype == np.uint16 else samples).astype(np.float64)
 
 
 def _table_name(stage: StageRun) -> str:
-    """The light table as the capture names it."""
-    named = stage.capture.config.olat.lights
-    names = [named] if named else ["lights.csv", "LSX3_light_positions.txt"]
-    return str(next((stage.capture.root / n for n in names if (stage.capture.root / n).is_file()), stage.capture.root))
+    """The light table's path, as lines name it."""
+    return str(light_table_file(stage.capture.root, stage.capture.config) or stage.capture.root)

@@ -47,7 +47,7 @@ def lambert(light: NDArray[np.float64], w: NDArray[np.float64]) -> tuple[NDArray
         matrix[~determined] = np.eye(3)
         m = np.linalg.solve(matrix, ((weight * light).T @ w)[..., None])[..., 0]
         residual = np.abs(light - w @ m.T)
-        miss = 1.4826 * np.nanmedian(np.where(lit, residual, np.nan), 0)
+        miss = 1.4826 * np.nanmedian(np.where(lit | ~determined, residual, np.nan), 0)
         weight = lit / (1 + (residual / (TUNING * np.maximum(miss, 0.01 * level) + 1e-30)) ** 2) ** 2
     return m, np.where(determined, miss / np.maximum(level, 1e-30), np.nan)
 

@@ -16,7 +16,10 @@ from numpy.typing import NDArray
 
 FEWEST = 20  # pixels of a kind, below which that kind says nothing
 BRIGHT = 0.5  # of a pixel's brightest specular sample: what makes its highlight
-SHINY = 5.0  # brightest specular sample over the noise behind it, from which a highlight is one
+SHINY = 5.0  # brightest specular sample over the noise, from which a highlight is one
+NARROW = 0.7  # length of a highlight's mean direction below which light comes from all sides
+AROUND, GAP_RAD = 12, np.radians(150.0)
+"""Nearest lights that surround a light where no gap between their bearings is wider: at a rig's edge it is half a turn."""
 STEEP = 0.3  # sine of the angle to the view above which a normal has a direction in the image
 DISAGREE_RAD = 0.35  # angle between normals and half vectors that counts 1: other frames are 20 to 90 degrees off
 TURNED_RAD, SPACING = 0.12, 0.2
@@ -57,13 +60,29 @@ class Fit:
 
 
 def peaks(shine: NDArray[np.float64], noise: NDArray[np.float64], w: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Directions [P, 3] of the highlights in specular samples [N, P]; 0 where none stands out of the `noise` [P]."""
+    """Directions [P, 3] of the highlights in specular samples [N, P]; 0 where none stands out of the `noise` [P], and where one
+    reaches the rig's edge: its peak may lie beyond."""
     top = shine.max(0)
     weight = np.where(shine > BRIGHT * top, shine, 0.0)
     mean = weight.T @ w
     size = np.linalg.norm(mean, axis=1, keepdims=True)
-    narrow = size[:, 0] > 0.7 * weight.sum(0)  # light from all sides has no direction
-    return np.where(((top > SHINY * noise) & (top > 0) & narrow)[:, None], mean / np.maximum(size, 1e-30), 0.0)
+    narrow = size[:, 0] > NARROW * weight.sum(0)
+    whole = ~np.any(weight[~surrounded(w)] > 0, axis=0)
+    return np.where(((top > SHINY * noise) & (top > 0) & narrow & whole)[:, None], mean / np.maximum(size, 1e-30), 0.0)
+
+
+def surrounded(w: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Which lights, of directions w [N, 3], have others on all sides [N]: not those at the edge of a dome or of a hole."""
+    cosine = w @ w.T
+    np.fill_diagonal(cosine, -np.inf)
+    count = min(AROUND, len(w) - 1)
+    near = w[np.argpartition(-cosine, count - 1, axis=1)[:, :count]]
+    along = np.cross(w, np.eye(3)[np.argmin(np.abs(w), 1)])
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    x, y = (np.einsum("nki,ni->nk", near, axis) for axis in (along, np.cross(w, along)))
+    bearing = np.sort(np.arctan2(y, x), 1)
+    gap = np.diff(bearing, axis=1, append=bearing[:, :1] + 2 * np.pi)
+    return np.asarray(gap.max(1) < GAP_RAD)
 
 
 def judge(look: Look, turn: NDArray[np.float64]) -> Fit:

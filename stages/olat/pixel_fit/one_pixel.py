@@ -44,7 +44,7 @@ from stages.olat.pixel_fit.result_layout import (
     TOO_FEW,
 )
 from stages.olat.pixel_fit.separation import separate
-from stages.olat.pixel_fit.specular import LOBE_FRACTION, frame_about, half_vectors, start_normal, sums, widths
+from stages.olat.pixel_fit.specular import LEAST_COSINE, LOBE_FRACTION, frame_about, half_vectors, start_normal, sums, widths
 from stages.olat.pixel_fit.uncertainty import NEAREST, SURE, deviation, nearest, strong
 
 BAD_SHARE = 0.1  # of a pixel's samples that may be not finite before the pixel is flagged
@@ -58,6 +58,7 @@ LIT_LIGHTS = 4  # three determine a normal and its albedo exactly; only a fourth
 EFFECTIVE_LIGHTS = 3.0  # a lobe seen by fewer has no width
 FAINTEST = 0.01  # of the brightest sample, to count as light of the lobe: below it rounding and inter-reflection would
 CERTAIN = 3.0  # standard deviations of the noise above which a sample counts as light
+OPPOSITE = 2.0 * float(LEAST_COSINE) ** 2 - 1.0  # cosine of light and view at which h·o is `LEAST_COSINE`
 BEYOND = -0.05  # n·o (3 degrees past grazing) below which a normal faces away: smoothed normals at an outline come to that
 
 
@@ -89,12 +90,14 @@ def _in_use(weight):
 
 
 @kernel(error_model="numpy")
-def _gather(workspace, w, area, n_d, solved):
-    """Lights before the surface, packed: their directions, half vectors, samples and whether they are seen."""
+def _gather(workspace, w, area, o, n_d, solved):
+    """Lights before the surface, packed: their directions, samples and whether they are seen; where no normal was found, all
+    but those opposite the view, whose half vector is 0."""
     n = 0
+    toward, least = (n_d, 0.0) if solved else (o, OPPOSITE)
     for k in range(workspace.diffuse.size):
-        p = n_d[0] * w[0, k] + n_d[1] * w[1, k] + n_d[2] * w[2, k]
-        if (p > 0 or not solved) and workspace.ok[k] > 0:
+        p = toward[0] * w[0, k] + toward[1] * w[1, k] + toward[2] * w[2, k]
+        if p > least and workspace.ok[k] > 0:
             workspace.front[n] = k
             n += 1
     for j in range(n):
@@ -169,7 +172,7 @@ def fit_pixel(cross, parallel, w, o, area, energy, settings, workspace, out):
         out[NORMAL_D + k] = n_d[k]
 
     # specular
-    n = _gather(workspace, w, area, n_d, solved)
+    n = _gather(workspace, w, area, (o[0], o[1], o[2]), n_d, solved)
     norm, passes, variance_s, square_s, data_s = 0.0, 0, UNKNOWN, 0.0, 0.0
     fitted = False
     n_s = n_d

@@ -24,14 +24,19 @@ class GivenMask:
     reading: str | None = None
 
     @property
+    def inside(self) -> NDArray[np.bool_]:
+        """Where the object is [H, W]."""
+        return self.pixels > THRESHOLD
+
+    @property
     def empty(self) -> bool:
         """Whether it shows no object."""
-        return not (self.pixels > THRESHOLD).any()
+        return not self.inside.any()
 
     @property
     def whole(self) -> bool:
         """Whether it is white all over, which tells nothing."""
-        return bool((self.pixels > THRESHOLD).mean() > WHOLE)
+        return bool(self.inside.mean() > WHOLE)
 
 
 def read_given(path: Path) -> GivenMask:
@@ -55,15 +60,24 @@ def read_given(path: Path) -> GivenMask:
 
 
 def _channel(image: NDArray[np.float32]) -> tuple[NDArray[np.float32], str | None]:
-    """The channel [H, W] of [H, W, C] that holds the mask, and a word where it is not the first."""
+    """The channel [H, W] of [H, W, C] that holds the mask, and a word where it is not the first.
+
+    An alpha that divides the frame otherwise than the first channel does is the mask: the rest then is a picture, cut out.
+    """
     first = image[..., 0]
-    if (first > THRESHOLD / 255).any() and not (first > THRESHOLD / 255).all():
-        return first, None
-    colours = image[..., :3].max(-1) if image.shape[2] >= 3 else first
     if image.shape[2] in (2, 4):
         alpha = image[..., -1]
-        if np.ptp(colours) == 0 and np.ptp(alpha) > 0:
+        if _divides(alpha) and np.any((alpha > THRESHOLD / 255) != (first > THRESHOLD / 255)):
             return alpha, "it is taken from the alpha channel"
+    if _divides(first):
+        return first, None
+    colours = image[..., :3].max(-1) if image.shape[2] >= 3 else first
     if not (first > THRESHOLD / 255).any() and (colours > THRESHOLD / 255).any():
         return colours, "it is taken from the brightest channel"
     return first, None
+
+
+def _divides(channel: NDArray[np.float32]) -> bool:
+    """Whether some of it is object, and some is not."""
+    inside = channel > THRESHOLD / 255
+    return bool(inside.any() and not inside.all())
