@@ -9,13 +9,12 @@ from pipeline.kernels.compiling import kernel
 
 from . import limits
 from .cube import AXES
-from .light_tree_lobe import leaf_gradient, lobe_weight, polarisation
-from .shade_kernels import MATH
+from .facet_kernels import polarisation
+from .light_tree_lobe import leaf_gradient, lobe_weight
+from .shade_kernels import MATH, surface_point
 
 _AXES = AXES.astype(np.float32)
 _ZERO, _HALF, _ONE, _TWO, _FOUR = (np.float32(x) for x in (0, 0.5, 1, 2, 4))
-_MIN_IOR = np.float32(limits.MIN_IOR)
-_MIN_ROUGHNESS, _MAX_ROUGHNESS = np.float32(limits.MIN_ROUGHNESS), np.float32(limits.MAX_ROUGHNESS)
 _TINY = np.float32(1e-6)
 _BRIGHT = np.float32(limits.BRIGHT)
 _AWAY = np.float32(limits.AWAY)
@@ -114,13 +113,8 @@ def forward(
         stack, nodes = np.empty((_STACK, 4), np.int32), np.empty(CAPACITY, np.int32)
         leaves = np.empty((CAPACITY, 5), np.float32)
         for p in range(len(normal) * part // parts, len(normal) * (part + 1) // parts):
-            n = (normal[p, 0], normal[p, 1], normal[p, 2])
-            v = (view[p, 0], view[p, 1], view[p, 2])
-            x, y = frame_x[p], frame_y[p]
-            r = min(max(roughness[p], _MIN_ROUGHNESS), _MAX_ROUGHNESS)
-            a2 = r * r * r * r
-            e = max(ior[p], _MIN_IOR)
-            nv = n[0] * v[0] + n[1] * v[1] + n[2] * v[2]
+            n, v, nv, r, e = surface_point(normal, view, roughness, ior, p)
+            x, y, a2 = frame_x[p], frame_y[p], r * r * r * r
             count = 0
             if nv > _AWAY:
                 count = _choose(
@@ -183,13 +177,8 @@ def backward(
         leaves = np.empty((CAPACITY, 5), np.float32)
         table = g_radiance[part]
         for p in range(points * part // parts, points * (part + 1) // parts):
-            n = (normal[p, 0], normal[p, 1], normal[p, 2])
-            v = (view[p, 0], view[p, 1], view[p, 2])
-            x, y = frame_x[p], frame_y[p]
-            r = min(max(roughness[p], _MIN_ROUGHNESS), _MAX_ROUGHNESS)
-            a2 = r * r * r * r
-            e = max(ior[p], _MIN_IOR)
-            nv = n[0] * v[0] + n[1] * v[1] + n[2] * v[2]
+            n, v, nv, r, e = surface_point(normal, view, roughness, ior, p)
+            x, y, a2 = frame_x[p], frame_y[p], r * r * r * r
             gn0, gn1, gn2, gv0, gv1, gv2, ga, ge = _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO
             count = 0
             if total[p] > _ZERO:
