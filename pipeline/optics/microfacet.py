@@ -17,6 +17,10 @@ Array = Any
 # wide.
 MIN_ROUGHNESS = 0.08
 
+# Walter et al. 2007's fit of Beckmann's Lambda in a = 1/(alpha tan): (1 - A a + B a^2)/(C a + D a^2), nothing from END on.
+BECKMANN_FIT = (1.259, 0.396, 3.535, 2.181)
+BECKMANN_FIT_END = 1.6
+
 
 def ggx_distribution(nh: Array, alpha: Array) -> Array:
     """GGX D(h) (1/sr): integral of D (n.h) over the hemisphere is 1. Written with tan^2 so small alpha does
@@ -48,8 +52,9 @@ def beckmann_lambda(c: Array, alpha: Array) -> Array:
     # The floor only moves a from infinity to 1e6/alpha, where Lambda is 0, and keeps the root's slope finite.
     tan = xp.sqrt(xp.clip((1 - c) * (1 + c), 1e-12, None)) / c
     a = 1 / (alpha * tan)
-    fit = (1 - 1.259 * a + 0.396 * a * a) / (3.535 * a + 2.181 * a * a)
-    return xp.where(a < 1.6, fit, 0 * fit)
+    one, two, three, four = BECKMANN_FIT
+    fit = (1 - one * a + two * a * a) / (three * a + four * a * a)
+    return xp.where(a < BECKMANN_FIT_END, fit, 0 * fit)
 
 
 def beckmann_lambda_exact(c: float, alpha: float) -> float:

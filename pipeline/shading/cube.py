@@ -106,8 +106,8 @@ def lookup(table: torch.Tensor, directions: torch.Tensor, resolution: int) -> to
     face, u, v = _torch_face_coordinates(directions)
     s = (u + 1) * (resolution / 2) + 0.5
     t = (v + 1) * (resolution / 2) + 0.5
-    i = s.detach().floor().clamp(0, resolution).long()
-    j = t.detach().floor().clamp(0, resolution).long()
+    # Clamped as integers, so that a direction that is not finite reads somewhere, to no finite value.
+    i, j = (x.detach().floor().long().clamp(0, resolution) for x in (s, t))
     s, t = (s - i)[:, None], (t - j)[:, None]
     index = torch.as_tensor(padded_indices(resolution), device=table.device).long().reshape(-1)
     row = (face * (resolution + 2) + j) * (resolution + 2) + i

@@ -115,7 +115,8 @@ def _places(radiance: torch.Tensor, shape: TreeShape) -> torch.Tensor:
     finest = 6 * shape.resolution**2
     angle = torch.as_tensor(shape.solid_angle, **like)
     bright = radiance[:finest].sum(1)
-    weight = angle[:finest] * (bright + FAINT * bright.mean() + torch.finfo(radiance.dtype).tiny)
+    # Of the mean: squares of faint or strong light stay inside float32, and a black cube's nodes have centres.
+    weight = angle[:finest] * (bright / bright.mean().clamp_min(torch.finfo(radiance.dtype).tiny) + FAINT)
     moment = weight[:, None] * torch.as_tensor(shape.direction[:finest], **like)
     # A texel's light is a tent over its neighbours: a sixth of its width squared along either axis.
     out, spread, all_ = [], angle[:finest] / 6 * weight, weight.sum()
@@ -170,11 +171,10 @@ class _Tree(torch.autograd.Function):
         value, turned, total = torch.empty(points, 3), torch.empty(points, 2, 3), np.empty(points, np.float32)
         kernel: Any = kernels.forward
         kernel(*arrays, *fixed, value.numpy(), turned.numpy(), total)
-        hidden = np.flatnonzero(~(total > 0))
-        if len(hidden):
-            ahead = straight_ahead(tensors[0][hidden], tensors[1][hidden], shape.resolution)
-            value[hidden] = tensors[6].detach()[ahead]
-        ctx.arrays, ctx.fixed, ctx.sums = arrays, fixed, (value.numpy(), turned.numpy(), total)
+        hidden = torch.as_tensor(np.flatnonzero(~(total > 0)))
+        ahead = straight_ahead(tensors[0][hidden], tensors[1][hidden], shape.resolution)
+        value[hidden] = tensors[6].detach()[ahead]
+        ctx.arrays, ctx.fixed, ctx.sums, ctx.straight = arrays, fixed, (value.numpy(), turned.numpy(), total), (hidden, ahead)
         return value, turned
 
     @staticmethod
@@ -188,4 +188,5 @@ class _Tree(torch.autograd.Function):
         kernel: Any = kernels.backward
         given = [g.contiguous().numpy() for g in gradients]
         kernel(*ctx.arrays, *ctx.fixed, *ctx.sums, *given, *(x.numpy() for x in new), tables.numpy())
-        return (None, None, None, *new, None, None, tables.sum(0))
+        hidden, ahead = ctx.straight
+        return (None, None, None, *new, None, None, tables.sum(0).index_add_(0, ahead, gradients[0][hidden]))

@@ -9,19 +9,20 @@ from pipeline.kernels.compiling import kernel
 
 from . import limits
 from .cube import AXES
-from .light_tree_lobe import leaf_gradient, lobe_weight, polarisation
-from .shade_kernels import MATH
+from .facet_kernels import polarisation
+from .light_tree_lobe import leaf_gradient, lobe_weight
+from .shade_kernels import MATH, surface_point
 
 _AXES = AXES.astype(np.float32)
 _ZERO, _HALF, _ONE, _TWO, _FOUR = (np.float32(x) for x in (0, 0.5, 1, 2, 4))
-_MIN_IOR = np.float32(limits.MIN_IOR)
-_MIN_ROUGHNESS, _MAX_ROUGHNESS = np.float32(limits.MIN_ROUGHNESS), np.float32(limits.MAX_ROUGHNESS)
 _TINY = np.float32(1e-6)
 _BRIGHT = np.float32(limits.BRIGHT)
 _AWAY = np.float32(limits.AWAY)
 _NOTHING = np.float32(limits.NOTHING)
 _END = np.float32(limits.BECKMANN_END)
-CAPACITY = 8192  # nodes a pixel may take, far more than the narrowest lobe takes; beyond it they are taken whole
+# Leaves that a pixel may take; beyond it nodes are taken whole. Grazing views of narrow lobes take the most: 18 000 under
+# "tree-fine" and a cube of 256.
+CAPACITY = 65536
 _STACK = 64  # three waiting siblings a level at most, of 8 levels of cubes and 8 of cells, and the next four
 
 
@@ -50,12 +51,13 @@ def _cell(node, depth, a, b, size):
 
 
 @kernel(fastmath=MATH, error_model="numpy")
-def _choose(n, v, nv, a2, ggx, place, angle, radius, child, first_root, size, tolerance, most, stack, nodes, leaves):
+def choose(n, v, nv, a2, ggx, place, angle, radius, child, first_root, size, tolerance, most, stack, nodes, leaves):
     """Fill nodes [M] and leaves [M, 5] (direction, solid angle, variance) with what the lobe is summed over; returns how many.
 
     stack [_STACK, 4]: node, depth of the cell in a texel's tent (0: the node itself), and which cell.
     """
-    count, limit = 0, len(nodes) - _STACK
+    # Whatever waits when the limit is reached, on the stack and of the roots, may still add one leaf each.
+    count, limit = 0, len(nodes) - _STACK - (len(child) - first_root)
     steep = _ONE / np.sqrt(a2)
     end, bend = a2 * _END, tolerance * np.float32(0.25)
     for root in range(first_root, len(child)):
@@ -114,16 +116,11 @@ def forward(
         stack, nodes = np.empty((_STACK, 4), np.int32), np.empty(CAPACITY, np.int32)
         leaves = np.empty((CAPACITY, 5), np.float32)
         for p in range(len(normal) * part // parts, len(normal) * (part + 1) // parts):
-            n = (normal[p, 0], normal[p, 1], normal[p, 2])
-            v = (view[p, 0], view[p, 1], view[p, 2])
-            x, y = frame_x[p], frame_y[p]
-            r = min(max(roughness[p], _MIN_ROUGHNESS), _MAX_ROUGHNESS)
-            a2 = r * r * r * r
-            e = max(ior[p], _MIN_IOR)
-            nv = n[0] * v[0] + n[1] * v[1] + n[2] * v[2]
+            n, v, nv, r, e = surface_point(normal, view, roughness, ior, p)
+            x, y, a2 = frame_x[p], frame_y[p], r * r * r * r
             count = 0
             if nv > _AWAY:
-                count = _choose(
+                count = choose(
                     n, v, nv, a2, ggx, place, angle, radius, child, first_root, size, tolerance, most, stack, nodes, leaves
                 )  # fmt: skip
             s0, s1, s2, sum_ = _ZERO, _ZERO, _ZERO, _ZERO
@@ -149,33 +146,15 @@ def forward(
             turned[p, 1, 0], turned[p, 1, 1], turned[p, 1, 2] = u0 * inverse, u1 * inverse, u2 * inverse
 
 
-@kernel(fastmath=MATH, error_model="numpy")
-def _hidden_gradient(n, v, nv, g, size, table):
-    """A point that sees nothing of its lobe mirrors the texel straight ahead."""
-    d0, d1, d2 = _TWO * nv * n[0] - v[0], _TWO * nv * n[1] - v[1], _TWO * nv * n[2] - v[2]
-    x, y, z = abs(d0), abs(d1), abs(d2)
-    if x >= y and x >= z:
-        face, major = (1 if d0 < 0 else 0), x
-    elif y >= z:
-        face, major = (3 if d1 < 0 else 2), y
-    else:
-        face, major = (5 if d2 < 0 else 4), z
-    s, t = _AXES[face, 1], _AXES[face, 2]
-    inverse = _ONE / max(major, _TINY)
-    half = _HALF * np.float32(size)
-    i = int((_ONE + (d0 * s[0] + d1 * s[1] + d2 * s[2]) * inverse) * half)
-    j = int((_ONE + (d0 * t[0] + d1 * t[1] + d2 * t[2]) * inverse) * half)
-    node = (face * size + min(max(j, 0), size - 1)) * size + min(max(i, 0), size - 1)
-    for k in range(3):
-        table[node, k] += g[k]
-
-
 @kernel(parallel=True, fastmath=MATH, error_model="numpy")
 def backward(
     normal, view, roughness, ior, frame_x, frame_y, radiance, place, angle, radius, child, first_root, size,
     tolerance, most, ggx, value, turned, total, g_value, g_turned, g_normal, g_view, g_roughness, g_ior, g_radiance,
 ):  # fmt: skip
-    """Gradients of `forward`; g_radiance [chunks, S, 3] is one zeroed table per chunk of pixels, to be summed."""
+    """Gradients of `forward`; g_radiance [chunks, S, 3] is one zeroed table per chunk of pixels, to be summed.
+
+    Points whose total is 0 get none.
+    """
     tolerance = np.float32(tolerance)
     points, parts = len(normal), len(g_radiance)
     for part in prange(parts):
@@ -183,17 +162,12 @@ def backward(
         leaves = np.empty((CAPACITY, 5), np.float32)
         table = g_radiance[part]
         for p in range(points * part // parts, points * (part + 1) // parts):
-            n = (normal[p, 0], normal[p, 1], normal[p, 2])
-            v = (view[p, 0], view[p, 1], view[p, 2])
-            x, y = frame_x[p], frame_y[p]
-            r = min(max(roughness[p], _MIN_ROUGHNESS), _MAX_ROUGHNESS)
-            a2 = r * r * r * r
-            e = max(ior[p], _MIN_IOR)
-            nv = n[0] * v[0] + n[1] * v[1] + n[2] * v[2]
+            n, v, nv, r, e = surface_point(normal, view, roughness, ior, p)
+            x, y, a2 = frame_x[p], frame_y[p], r * r * r * r
             gn0, gn1, gn2, gv0, gv1, gv2, ga, ge = _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO
             count = 0
             if total[p] > _ZERO:
-                count = _choose(
+                count = choose(
                     n, v, nv, a2, ggx, place, angle, radius, child, first_root, size, tolerance, most, stack, nodes, leaves
                 )  # fmt: skip
             inverse = _ONE / max(total[p], np.float32(1e-30))
@@ -215,8 +189,6 @@ def backward(
                 table[node, 0] += r0
                 table[node, 1] += r1
                 table[node, 2] += r2
-            if not total[p] > _ZERO:
-                _hidden_gradient(n, v, nv, g_value[p], size, table)
             g_normal[p, 0], g_normal[p, 1], g_normal[p, 2] = gn0, gn1, gn2
             g_view[p, 0], g_view[p, 1], g_view[p, 2] = gv0, gv1, gv2
             g_roughness[p], g_ior[p] = ga * _FOUR * r * r * r, ge

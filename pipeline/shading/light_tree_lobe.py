@@ -1,4 +1,4 @@
-"""The lobe that `light_tree_kernels` sums over, with its derivatives (numba): D, Smith's shadowing, Fresnel, polarisation."""
+"""What a leaf of the tree of light adds to the sum of `light_tree_kernels`, with its derivatives (numba)."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import numpy as np
 
 from pipeline.kernels.compiling import kernel
 
+from .facet_kernels import masking, masking_slopes, polarisation, reflectance, reflectance_slopes
 from .shade_kernels import MATH
 
 _ZERO, _HALF, _ONE, _TWO, _FOUR = (np.float32(x) for x in (0, 0.5, 1, 2, 4))
@@ -40,33 +41,8 @@ def lobe_weight(n, v, l, nv, a2, e, ggx, variance):
     else:
         wide = a2 + _TWO * slopes
         d = np.exp(-sin2 / (cos2 * wide)) / (wide * cos2 * cos2)
-    level = max(nl, _LEAST)
-    t2 = (_ONE - level) * (_ONE + level) / (level * level)
-    if ggx:
-        g = _TWO / (_ONE + np.sqrt(_ONE + a2 * t2))
-    else:
-        a = _ONE / np.sqrt(max(a2 * t2, np.float32(1e-12)))
-        g = _ONE
-        if a < np.float32(1.6):
-            top = _ONE - np.float32(1.259) * a + np.float32(0.396) * a * a
-            g = _ONE / (_ONE + top / (np.float32(3.535) * a + np.float32(2.181) * a * a))
-    k2 = (e - _ONE) * (e + _ONE)
-    root = np.sqrt(k2 + vh * vh)
-    x = k2 / ((vh + root) * (vh + root))
-    e2 = e * e
-    y = k2 * ((e2 + _ONE) * vh * vh - _ONE) / ((e2 * vh + root) * (e2 * vh + root))
-    return d * g * (x * x + y * y), h0, h1, h2, vh, nh, nl, sin2, wide
-
-
-@kernel(fastmath=MATH, error_model="numpy")
-def polarisation(c, square, e):
-    """beta_s/sin^2 with its slopes in c, square = sin^2, and eta."""
-    q = np.sqrt((e - _ONE) * (e + _ONE) + c * c)
-    x = c * q
-    d = _ONE / (x * x + square * square)
-    value = _TWO * x * d
-    by_x = _TWO * d - value * _TWO * x * d
-    return value, by_x * (q + c * c / q), -value * _TWO * square * d, by_x * c * e / q
+    weight = d * masking(max(nl, _LEAST), a2, ggx) * reflectance(vh, e)
+    return weight, h0, h1, h2, vh, nh, nl, sin2, wide
 
 
 @kernel(fastmath=MATH, error_model="numpy")
@@ -98,53 +74,12 @@ def _distribution_slopes(nh, vh, sin2, a2, ggx, variance):
 
 
 @kernel(fastmath=MATH, error_model="numpy")
-def _shadow_slopes(nl, a2, ggx):
-    """Slopes of log G1(l) in n.l and alpha^2."""
-    level = max(nl, _LEAST)
-    t2 = (_ONE - level) * (_ONE + level) / (level * level)
-    by_t2, by_a2 = _ZERO, _ZERO
-    if ggx:
-        root = np.sqrt(_ONE + a2 * t2)
-        share = -_HALF / (root * (_ONE + root))
-        by_t2, by_a2 = share * a2, share * t2
-    else:
-        a = _ONE / np.sqrt(max(a2 * t2, np.float32(1e-12)))
-        if a < np.float32(1.6):
-            top = _ONE - np.float32(1.259) * a + np.float32(0.396) * a * a
-            low = _ONE / (np.float32(3.535) * a + np.float32(2.181) * a * a)
-            lam = top * low
-            slope = (np.float32(0.792) * a - np.float32(1.259)) * low
-            slope -= lam * (np.float32(3.535) + np.float32(4.362) * a) * low
-            by_log = _HALF * a * slope / (_ONE + lam)  # d log G / d log of alpha^2 and of tan^2
-            by_a2 = by_log / a2
-            by_t2 = by_log / max(t2, np.float32(1e-12))
-    return -_TWO * by_t2 / (level * level * level) if nl > _LEAST else _ZERO, by_a2
-
-
-@kernel(fastmath=MATH, error_model="numpy")
-def _fresnel_slopes(vh, e):
-    """Slopes of log F in v.h and eta."""
-    k2 = (e - _ONE) * (e + _ONE)
-    root = np.sqrt(k2 + vh * vh)
-    e2 = e * e
-    i, j = _ONE / (vh + root), _ONE / (e2 * vh + root)
-    x = k2 * i * i
-    face = (e2 + _ONE) * vh * vh - _ONE
-    y = k2 * face * j * j
-    share = _TWO / max(x * x + y * y, np.float32(1e-30))
-    x_c, x_e = -_TWO * x / root, _TWO * e * i * i - _TWO * x * i * e / root
-    y_c = k2 * _TWO * (e2 + _ONE) * vh * j * j - _TWO * y * j * (e2 + vh / root)
-    y_e = _TWO * e * face * j * j + k2 * _TWO * e * vh * vh * j * j - _TWO * y * j * (_TWO * e * vh + e / root)
-    return share * (x * x_c + y * y_c), share * (x * x_e + y * y_e)
-
-
-@kernel(fastmath=MATH, error_model="numpy")
 def lobe_slopes(nh, nl, vh, sin2, a2, e, ggx, variance):
     """Slopes of log(D G1 F) in n.h, n.l, v.h, alpha^2 and eta, with the spread of the light as in `lobe_weight`."""
     by_nh, by_a2, by_vh = _distribution_slopes(nh, vh, sin2, a2, ggx, variance)
-    by_nl, shadow_a2 = _shadow_slopes(nl, a2, ggx)
-    fresnel_vh, by_e = _fresnel_slopes(vh, e)
-    return by_nh, by_nl, by_vh + fresnel_vh, by_a2 + shadow_a2, by_e
+    by_nl, masking_a2 = masking_slopes(max(nl, _LEAST), a2, ggx)
+    fresnel_vh, by_e = reflectance_slopes(vh, e)
+    return by_nh, by_nl if nl > _LEAST else _ZERO, by_vh + fresnel_vh, by_a2 + masking_a2, by_e
 
 
 @kernel(fastmath=MATH, error_model="numpy")

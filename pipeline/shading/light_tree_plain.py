@@ -35,7 +35,7 @@ def _leaves(
     angles, radii = (torch.as_tensor(x, **like) for x in (shape.solid_angle, shape.radius))
     child = torch.as_tensor(shape.child, device=normal.device).long()
     place = tree.place.to(**like)
-    points = torch.nonzero((normal * view).sum(1) > limits.AWAY)[:, 0]
+    points = torch.nonzero(((normal * view).sum(1) > limits.AWAY) & alpha.isfinite())[:, 0]
     roots = torch.arange(shape.first_root, len(child), device=normal.device)
     point, node = points.repeat_interleave(len(roots)), roots.repeat(len(points))
     depth, across, down = (torch.zeros_like(point) for _ in range(3))

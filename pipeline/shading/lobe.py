@@ -24,17 +24,17 @@ from pipeline.optics.model_names import MIRRORS
 from pipeline.optics.stokes import surface_pattern
 
 from . import limits
-from .light_tree_lobe import polarisation
+from .facet_kernels import masking, polarisation, reflectance
 from .prefilter import LightField
-from .shade_kernels import MATH, add, chunks, direction_gradient, fetch, level_below, texels
+from .shade_kernels import MATH, add, chunks, direction_gradient, fetch, level_below, surface_point, texels
+from .splitsum import half_vectors
 
 # Share of the width left to the looked-up level, by number of rings: about the facets' spacing.
 REST = (0.5, 0.4, 0.3, 0.2)
 
 _ONE, _TWO, _ZERO = np.float32(1), np.float32(2), np.float32(0)
 _TINY = np.float32(1e-6)
-_MIN_COSINE, _MIN_IOR = np.float32(limits.MIN_COSINE), np.float32(limits.MIN_IOR)
-_MIN_ROUGHNESS, _MAX_ROUGHNESS = np.float32(limits.MIN_ROUGHNESS), np.float32(limits.MAX_ROUGHNESS)
+_MIN_ROUGHNESS = np.float32(limits.MIN_ROUGHNESS)
 
 
 @lru_cache(maxsize=16)
@@ -43,13 +43,11 @@ def pattern(mirror: str, lobe: str) -> tuple[NDArray[np.float32], float, float]:
     layout = MIRRORS[mirror]
     assert layout is not None, "the split sum has no facets"
     rings, azimuths = layout
-    x, w = np.polynomial.legendre.leggauss(rings)
-    u = (x + 1) / 2
-    tan = np.sqrt(u / (1 - u) if lobe == "ggx" else -np.log1p(-u))
+    tan, _, w = half_vectors(1.0, lobe, rings, azimuths)
     rest = REST[rings - 1]
     # Every other ring is turned by half a step; the pattern is symmetric about the plane of incidence.
     turn = (np.arange(azimuths) + 0.5 * (np.arange(rings)[:, None] % 2)) * (2 * np.pi / azimuths)
-    columns = (np.cos(turn), np.sin(turn), tan[:, None] * np.ones_like(turn), w[:, None] / (2 * azimuths) + 0 * turn)
+    columns = (np.cos(turn), np.sin(turn), tan[:, None] * np.ones_like(turn), w[:, None] / azimuths + 0 * turn)
     facets = np.stack([c.ravel() for c in columns], -1).astype(np.float32)
     return facets, float(np.sqrt(1 - rest * rest)), float(np.sqrt(rest))
 
@@ -146,27 +144,13 @@ class _Lobe(torch.autograd.Function):
 
 
 @kernel(fastmath=MATH, error_model="numpy")
-def _shadow(c, alpha, ggx):
-    """Smith's G1: microfacet.masking for one cosine."""
-    t2 = (_ONE - c) * (_ONE + c) / (c * c)
-    if ggx:
-        return _TWO / (_ONE + np.sqrt(_ONE + alpha * alpha * t2))
-    a = _ONE / (alpha * np.sqrt(max(t2, np.float32(1e-12))))
-    if a >= np.float32(1.6):
-        return _ONE
-    top = _ONE - np.float32(1.259) * a + np.float32(0.396) * a * a
-    return _ONE / (_ONE + top / (np.float32(3.535) * a + np.float32(2.181) * a * a))
-
-
-@kernel(fastmath=MATH, error_model="numpy")
-def _facets(n, v, r, e, facets, spread, ggx, out):
+def _facets(n, v, f, r, e, facets, spread, ggx, out):
     """Fill out [K, 4] with half vectors and normalised weights; returns whether any facet is seen.
 
-    n, v: tuples.
+    n, v: tuples; f: the cosine between them.
     """
     n0, n1, n2 = n
     v0, v1, v2 = v
-    f = n0 * v0 + n1 * v1 + n2 * v2
     t0, t1, t2 = v0 - f * n0, v1 - f * n1, v2 - f * n2
     square = t0 * t0 + t1 * t1 + t2 * t2
     if square <= _TINY:
@@ -184,8 +168,6 @@ def _facets(n, v, r, e, facets, spread, ggx, out):
     t0, t1, t2 = t0 * s, t1 * s, t2 * s
     b0, b1, b2 = n1 * t2 - n2 * t1, n2 * t0 - n0 * t2, n0 * t1 - n1 * t0
     alpha = r * r
-    k2 = (e - _ONE) * (e + _ONE)
-    e2 = e * e
     total = _ZERO
     for k in range(len(facets)):
         tan = facets[k, 2] * spread * alpha
@@ -198,10 +180,7 @@ def _facets(n, v, r, e, facets, spread, ggx, out):
         nl = _TWO * vh * (n0 * h0 + n1 * h1 + n2 * h2) - f
         w = _ZERO
         if vh > _TINY and nl > _TINY:
-            q = np.sqrt(k2 + vh * vh)
-            x = k2 / ((vh + q) * (vh + q))
-            y = k2 * ((e2 + _ONE) * vh * vh - _ONE) / ((e2 * vh + q) * (e2 * vh + q))
-            w = _shadow(nl, alpha, ggx) * vh / nh * facets[k, 3] * (x * x + y * y)
+            w = masking(nl, alpha * alpha, ggx) * vh / nh * facets[k, 3] * reflectance(vh, e)
         out[k, 0], out[k, 1], out[k, 2], out[k, 3] = h0, h1, h2, w
         total += w
     if total > _ZERO:
@@ -221,14 +200,11 @@ def _forward(
     for part in prange(parts):
         h = np.empty((len(facets), 4), np.float32)
         for p in range(len(normal) * part // parts, len(normal) * (part + 1) // parts):
-            n = (normal[p, 0], normal[p, 1], normal[p, 2])
-            v = (view[p, 0], view[p, 1], view[p, 2])
-            r = min(max(roughness[p], _MIN_ROUGHNESS), _MAX_ROUGHNESS)
-            e = max(ior[p], _MIN_IOR)
+            n, v, facing, r, e = surface_point(normal, view, roughness, ior, p)
             level, fraction, _ = level_below(max(r * rest, _MIN_ROUGHNESS), nodes)
             for k in range(3):
                 value[p, k], turned[p, 0, k], turned[p, 1, k] = _ZERO, _ZERO, _ZERO
-            seen = _facets(n, v, r, e, facets, spread, ggx, h)
+            seen = _facets(n, v, facing, r, e, facets, spread, ggx, h)
             for s in range(len(facets) if seen else 1):
                 h0, h1, h2, w = h[s, 0], h[s, 1], h[s, 2], h[s, 3]
                 if not seen:
@@ -263,14 +239,11 @@ def _backward(
         h = np.empty((len(facets), 4), np.float32)
         table = g_packed[part]
         for p in range(count * part // parts, count * (part + 1) // parts):
-            n = (normal[p, 0], normal[p, 1], normal[p, 2])
-            v = (view[p, 0], view[p, 1], view[p, 2])
-            r = min(max(roughness[p], _MIN_ROUGHNESS), _MAX_ROUGHNESS)
-            e = max(ior[p], _MIN_IOR)
+            n, v, facing, r, e = surface_point(normal, view, roughness, ior, p)
             level, fraction, slope = level_below(max(r * rest, _MIN_ROUGHNESS), nodes)
             free = _ONE if r * rest >= _MIN_ROUGHNESS else _ZERO
             gn0, gn1, gn2, gv0, gv1, gv2, gr, ge = _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO
-            seen = _facets(n, v, r, e, facets, spread, ggx, h)
+            seen = _facets(n, v, facing, r, e, facets, spread, ggx, h)
             for s in range(len(facets) if seen else 1):
                 h0, h1, h2, w = h[s, 0], h[s, 1], h[s, 2], h[s, 3]
                 if not seen:

@@ -40,6 +40,15 @@ def chunks(points: int) -> int:
 
 
 @kernel(fastmath=MATH, error_model="numpy")
+def surface_point(normal, view, roughness, ior, p):
+    """Point p: normal and view (tuples), cosine between them, and roughness and eta inside the limits."""
+    n = (normal[p, 0], normal[p, 1], normal[p, 2])
+    v = (view[p, 0], view[p, 1], view[p, 2])
+    r = min(max(roughness[p], _MIN_ROUGHNESS), _MAX_ROUGHNESS)
+    return n, v, n[0] * v[0] + n[1] * v[1] + n[2] * v[2], r, max(ior[p], _MIN_IOR)
+
+
+@kernel(fastmath=MATH, error_model="numpy")
 def texels(dx, dy, dz, size, index, base):
     """Where a direction falls: face, (u, v), 1/major, fractions (s, t) and the four rows of the extended table."""
     ax, ay, az = abs(dx), abs(dy), abs(dz)
@@ -179,6 +188,16 @@ def level_below(r, nodes):
     return k, (r - nodes[k]) / width, _ONE / width
 
 
+@kernel(fastmath=MATH, error_model="numpy")
+def _mirrored_texels(h, vh, v, level, sizes, index, bases):
+    """Where the mirror direction of view v at half vector h falls, in a level and in the next; vh: their cosine."""
+    d0, d1, d2 = _TWO * vh * h[0] - v[0], _TWO * vh * h[1] - v[1], _TWO * vh * h[2] - v[2]
+    return (
+        texels(d0, d1, d2, sizes[level], index, bases[level]),
+        texels(d0, d1, d2, sizes[level + 1], index, bases[level + 1]),
+    )
+
+
 @kernel(parallel=True, fastmath=MATH, error_model="numpy")
 def forward(
     normal, view, albedo, roughness, ior, frame_x, frame_y, packed, nodes, sizes, starts, index, bases, table,
@@ -193,17 +212,11 @@ def forward(
     last = len(sizes) - 1
     scale = _ONE / (np.float32(np.pi) * _entering(np.float32(REFERENCE_IOR))[0])
     for p in prange(len(normal)):
-        n0, n1, n2 = normal[p, 0], normal[p, 1], normal[p, 2]
-        v0, v1, v2 = view[p, 0], view[p, 1], view[p, 2]
-        facing = n0 * v0 + n1 * v1 + n2 * v2
+        n, v, facing, r, e = surface_point(normal, view, roughness, ior, p)
+        n0, n1, n2 = n
         c = min(max(facing, _MIN_COSINE), _ONE)
-        r = min(max(roughness[p], _MIN_ROUGHNESS), _MAX_ROUGHNESS)
-        e = max(ior[p], _MIN_IOR)
-        two = _TWO * facing
         level, fraction, _ = level_below(r, nodes)
-        m0, m1, m2 = two * n0 - v0, two * n1 - v1, two * n2 - v2
-        lower = texels(m0, m1, m2, sizes[level], index, bases[level])
-        upper = texels(m0, m1, m2, sizes[level + 1], index, bases[level + 1])
+        lower, upper = _mirrored_texels(n, facing, v, level, sizes, index, bases)
         around = texels(n0, n1, n2, sizes[last], index, bases[last])
         t, _, _, body, _, _ = _surface(c, e)
         leaving = t * _entering(e)[0] * scale
@@ -251,17 +264,13 @@ def backward(
     for chunk in prange(chunks):
         table_gradient = g_packed[chunk]
         for p in range(count * chunk // chunks, count * (chunk + 1) // chunks):
-            n0, n1, n2 = normal[p, 0], normal[p, 1], normal[p, 2]
-            v0, v1, v2 = view[p, 0], view[p, 1], view[p, 2]
-            facing = n0 * v0 + n1 * v1 + n2 * v2
+            n, v, facing, r, e = surface_point(normal, view, roughness, ior, p)
+            n0, n1, n2 = n
+            v0, v1, v2 = v
             c = min(max(facing, _MIN_COSINE), _ONE)
-            r = min(max(roughness[p], _MIN_ROUGHNESS), _MAX_ROUGHNESS)
-            e = max(ior[p], _MIN_IOR)
             two = _TWO * facing
             level, fraction, slope = level_below(r, nodes)
-            m0, m1, m2 = two * n0 - v0, two * n1 - v1, two * n2 - v2
-            lower = texels(m0, m1, m2, sizes[level], index, bases[level])
-            upper = texels(m0, m1, m2, sizes[level + 1], index, bases[level + 1])
+            lower, upper = _mirrored_texels(n, facing, v, level, sizes, index, bases)
             around = texels(n0, n1, n2, sizes[last], index, bases[last])
             t, t_c, t_e, body, body_c, body_e = _surface(c, e)
             enter, enter_e = _entering(e)

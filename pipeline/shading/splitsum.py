@@ -111,7 +111,7 @@ def lookup(values: torch.Tensor, coordinates: tuple[torch.Tensor, ...]) -> torch
     ]
     for size, x in zip(values.shape, coordinates):
         x = x.clamp(0, size - 1)
-        i = x.detach().floor().clamp(0, size - 2).long()
+        i = x.detach().floor().long().clamp(0, size - 2)
         t = x - i
         corners = [(row * size + i + k, w * (t if k else 1 - t)) for row, w in corners for k in (0, 1)]
     flat = values.reshape(-1, values.shape[-1])
