@@ -7,7 +7,7 @@ import dataclasses
 import re
 import typing
 from collections.abc import Mapping, Sequence
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from pipeline.engine.stage import Stage
 from pipeline.errors import UserError, nearest
@@ -72,7 +72,10 @@ def _spoken(flag: str) -> str:
 
 
 class _OneLineParser(argparse.ArgumentParser):
-    """argparse, with faults as UserError instead of a usage block."""
+    """argparse, with faults as UserError instead of a usage block, and options by their whole names alone."""
+
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(**settings, allow_abbrev=False)
 
     def error(self, message: str) -> NoReturn:
         """Raise argparse's complaint in the project's own form."""

@@ -38,6 +38,7 @@ def line_chart(x: Sequence[float], series: Mapping[str, Sequence[float]], x_titl
         return ""
     values = np.concatenate([v[np.isfinite(v)] for v in ys.values()])
     low, high = float(values.min()), float(values.max())
+    flat = [low] if high == low else None
     pad = 0.06 * (high - low) or 0.5
     low, high = low - pad, high + pad
     x0, x1 = float(xs.min()), float(max(xs.max(), xs.min() + 1e-9))
@@ -49,7 +50,7 @@ def line_chart(x: Sequence[float], series: Mapping[str, Sequence[float]], x_titl
         return HEIGHT - BOTTOM - (v - low) / (high - low) * (HEIGHT - TOP - BOTTOM)
 
     parts = [f'<svg class="chart" viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{html.escape(y_title)}">']
-    for t in nice_ticks(low, high):
+    for t in flat or nice_ticks(low, high):
         text = _label(10**t) if log else _label(round(t, 10))
         if log and abs(t - round(t)) > 1e-9 and high - low > 1.5:
             continue

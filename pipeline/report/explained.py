@@ -79,8 +79,8 @@ def doubts(views: Mapping[str, Explained]) -> list[str]:
     if likeness is not None and off is not None and likeness < LIKE and off > NEAR:
         lines.append(
             f"the model does not explain the pictures: it is like views that it has not seen by {likeness:.2f} (1 is alike, "
-            f"sound captures have 0.75 and more), worst {worst} by {value:.2f}. Metal, glass, a mirror, a lamp in the scene, "
-            "or wrong cameras? Look at that view beside its rendering"
+            f"sound captures have 0.75 and more), worst {worst} by {value:.2f}. Too few steps, metal, glass, a mirror, a lamp "
+            "in the scene, or wrong cameras? Look at that view beside its rendering"
         )
     elif off is not None and off > OFF:
         factor = (1 + off) ** (1 / GAMMA)

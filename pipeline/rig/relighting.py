@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.formats.dataset_files import FITTED_LOBE
 from pipeline.formats.images import RGB, XYZ, read_image
 from pipeline.geometry.cameras import Camera
 from pipeline.rig.frame_files import frames_root
@@ -107,7 +108,7 @@ def render_maps(
     from pipeline.rig.map_rendering import render_pixels
 
     folder = Path(maps_folder)
-    facts = folder.parent / "maps.json"
+    facts = folder.parent / FITTED_LOBE
     lobe = LOBES[json.loads(facts.read_text())["lobe"]] if facts.is_file() else LOBES["ward"]
 
     def load(name: str, channels: tuple[str, ...]) -> NDArray[np.float32]:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.engine.stage import StageRun
+from pipeline.formats.dataset_files import FITTED_LOBE
 from pipeline.geometry.cameras import Camera
 from pipeline.rig.light_table import LightTable
 from pipeline.rig.lobe_names import LOBES
@@ -70,7 +71,7 @@ def run(stage: StageRun, lanes: Lanes) -> None:
     lobe = next(name for name, value in LOBES.items() if value == settings.lobe)
     stage.note("lobe", lobe)
     facts = {"schema": 1, "lobe": lobe, "sigma": WIDTHS[lobe], "roughness": "(sigma_x sigma_y)^(1/4)"}
-    (stage.output / "maps.json").write_text(json.dumps(facts, indent=1) + "\n")
+    (stage.output / FITTED_LOBE).write_text(json.dumps(facts, indent=1) + "\n")
     threads = max(1, (os.cpu_count() or 1) // len(lanes.jobs))
 
     def fit_lane(jobs: list[CameraJob], pieces: Iterator[Piece]) -> None:

@@ -58,6 +58,13 @@ def test_a_stage_without_a_camera_file_is_told_its_form(tmp_path):
         open_capture(tmp_path)
 
 
+def test_the_folder_above_a_stage_is_told_from_a_stage_without_a_camera_file(tmp_path):
+    directions = ball.write_stage(tmp_path / "ball", 4)
+    (tmp_path / "ball" / "lights.csv").write_text(ball.lights_csv(directions))
+    with pytest.raises(UserError, match=r"not the light stage itself: that is ball; give CAPTURE=.*/ball$"):
+        open_capture(tmp_path)
+
+
 # ---- frames and lights -----------------------------------------------------------------------------------------------
 @pytest.mark.parametrize(
     ("first", "base", "dead", "extra"),

@@ -16,8 +16,10 @@ from pipeline.report.curves import line_chart, nice_ticks
 from pipeline.report.inspect import scene_of
 from pipeline.report.render import render
 from stages.metrics import report
+from stages.metrics.report import rig_pictures
 from stages.metrics.report.figures import headlines, tables, text_of
-from stages.metrics.report.page import cost_rows, training_curves
+from stages.metrics.report.page import cost_rows, offset_fact, training_curves
+from stages.olat.pixel_fit.result_layout import FLAGS as OLAT_FLAGS
 from synth.orbit import look_at, orbit
 
 REPORT = Path(report.__file__).parent
@@ -26,7 +28,7 @@ REPORT = Path(report.__file__).parent
 def context(**changes):
     base = {
         "text_of": text_of, "name": "a <b>capture</b>", "facts": ["16 views"], "tiles": [], "plan": [], "views": [],
-        "environment": [], "relit": [], "olat": [], "curves": [],
+        "environment": [], "relit": [], "olat": [], "lobe": {}, "curves": [],
         "costs": cost_rows({"train": {"wall_s": 71.0, "peak_rss_mb": 1200, "outputs": []}}),
         "tables": [], "warnings": [("decode", "<script>alert(1)</script>")], "parameters": {}, "packages": {},
     }  # fmt: skip
@@ -78,6 +80,29 @@ def test_curves_break_where_a_value_is_missing():
     assert chart.count("<polyline") == 2
     assert line_chart([0], {"psnr": [1]}, "x", "y") == ""
     assert line_chart([0, 1], {"psnr": [float("nan")] * 2}, "x", "y") == ""
+
+
+def test_a_level_curve_has_one_tick_at_its_value():
+    chart = line_chart([0, 1], {"Gaussians": [18183, 18183]}, "wall time (s)", "Number of Gaussians")
+    assert chart.count('class="grid"') == 1 and ">18183</text>" in chart
+
+
+def test_flags_of_a_light_stage_are_named_with_their_shares():
+    assert [meaning for _, _, meaning in rig_pictures.FLAGS] == list(OLAT_FLAGS)
+    assert rig_pictures.flag_legend(np.array([0, 0, 0, 7])) == "teal peak outside the lights (25.0 %)"
+    assert rig_pictures.flag_legend(np.zeros(0, int)) == rig_pictures.flag_legend(np.zeros(3, int)) == "none"
+
+
+def test_maps_are_shown_with_the_lobe_that_was_fitted():
+    lobe = {"lobe": "ggx", "sigma": "GGX widths (alpha)"}
+    olat = [{"view": "cam00", "figures": {}, "pictures": []}]
+    assert "the lobe is ggx, σ its two GGX widths (alpha)" in render("report.html.jinja", context(olat=olat, lobe=lobe), REPORT)
+
+
+def test_an_offset_of_the_world_is_told_to_its_last_digit():
+    offset = {"poses": {"facts": {"world_offset": [4321987.125, 0.0, -12.0]}}}
+    assert offset_fact(offset) == ["positions in its files are relative to (4321987.125, 0, -12)"]
+    assert offset_fact({"poses": {"facts": {}}}) == offset_fact({}) == []
 
 
 def test_training_log_becomes_charts(tmp_path):

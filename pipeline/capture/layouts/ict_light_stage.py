@@ -92,6 +92,9 @@ def _camera(
         raise UserError(mask, f"is {image_size(mask)} pixels, the frames {sizes['cross']}", "make the mask at the frames' size")
     path = camera_file(root, folders.name)
     if not path.is_file():
+        for place in folders.home.parents[: len(folders.home.relative_to(root).parts) - 1]:
+            if camera_file(place, folders.name).is_file():
+                raise UserError(root, f"is not the light stage itself: that is {place.name}", f"give CAPTURE={place}")
         raise UserError(path, f"{folders.home.name} has images but no camera file", FORMAT)
     camera = read_camera(path, *sizes["cross"], name=folders.name, distortion=config.olat.distortion)
     cross, parallel = passes["cross"], passes["parallel"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,7 @@ from typing import Any
 from pipeline.engine.dataset import Dataset
 from pipeline.engine.progress import clock
 from pipeline.engine.stage import StageRun
-from pipeline.formats.dataset_files import TRAIN_LOG
+from pipeline.formats.dataset_files import FITTED_LOBE, TRAIN_LOG
 from pipeline.report.curves import line_chart
 from pipeline.report.render import render
 
@@ -22,10 +23,10 @@ def write_report(run: StageRun, metrics: dict[str, Any], manifests: Mapping[str,
     context = {
         "text_of": text_of,
         "name": run.capture.root.name,
-        "facts": capture_facts(run),
+        "facts": capture_facts(run) + offset_fact(manifests),
         "tiles": headlines(metrics),
         "plan": plan_rows(run, manifests),
-        "views": [], "environment": [], "relit": [], "olat": [],
+        "views": [], "environment": [], "relit": [], "olat": [], "lobe": {},
         "curves": training_curves(run.inputs["train"] / TRAIN_LOG) if "train" in run.inputs else [],
         "costs": cost_rows(manifests),
         "tables": tables(metrics),
@@ -43,6 +44,7 @@ def write_report(run: StageRun, metrics: dict[str, Any], manifests: Mapping[str,
     if "olat" in run.inputs:
         from . import rig_pictures
 
+        context["lobe"] = json.loads((run.inputs["olat"] / FITTED_LOBE).read_text())
         context["olat"] = rig_pictures.olat_cards(run, metrics)
         context["relit"] = rig_pictures.relit_cards(run) if "relight" in run.inputs else []
     (run.output / "report.html").write_text(render("report.html.jinja", context, Path(__file__).parent), encoding="utf-8")
@@ -66,6 +68,12 @@ def capture_facts(run: StageRun) -> list[str]:
     size = next((f"{v.size[0]} × {v.size[1]} px" for v in c.views if v.size), "")
     facts = [c.layout.replace("_", " "), f"{len(c.views)} views", size, words[c.polarisation], f"{c.up} up", *c.facts]
     return [f for f in facts if f]
+
+
+def offset_fact(manifests: Mapping[str, dict[str, Any]]) -> list[str]:
+    """What positions in the dataset's files are relative to, where that is not the capture's own origin."""
+    offset = manifests.get("poses", {}).get("facts", {}).get("world_offset")
+    return [f"positions in its files are relative to ({', '.join(f'{x:.12g}' for x in offset)})"] if offset else []
 
 
 def plan_rows(run: StageRun, manifests: Mapping[str, dict[str, Any]]) -> list[dict[str, Any]]:

@@ -18,16 +18,17 @@ from pipeline.report import pictures
 from pipeline.report.pictures import picture
 
 ERROR_FULL = 0.5  # difference over the mean of the frames' sum, at the bright end
-FLAG_COLOURS = (
-    (24, 26, 30),
-    (214, 158, 46),
-    (197, 48, 48),
-    (90, 90, 90),
-    (49, 130, 206),
-    (128, 90, 213),
-    (221, 107, 32),
-    (49, 151, 149),
+FLAGS = (
+    ("black", (24, 26, 30), "good"),
+    ("yellow", (214, 158, 46), "too few lights"),
+    ("red", (197, 48, 48), "saturated"),
+    ("grey", (90, 90, 90), "black"),
+    ("blue", (49, 130, 206), "no lobe"),
+    ("violet", (128, 90, 213), "bad samples"),
+    ("orange", (221, 107, 32), "facing away"),
+    ("teal", (49, 151, 149), "peak outside the lights"),
 )
+"""Colour and meaning of the olat stage's flags 0, 1, ..."""
 
 
 def olat_cards(run: StageRun, metrics: dict[str, Any]) -> list[dict[str, Any]]:
@@ -73,13 +74,17 @@ def _maps(run: StageRun, folder: Path) -> list[dict[str, str]]:
     add(pictures.scale(one("anisotropy"), 0, 1, pictures.VIRIDIS, there), "anisotropy", "0 to 1")
     add(pictures.scale(one("visibility_d"), 0, 1, pictures.VIRIDIS, there), "visibility", "fraction of lights seen")
     add(pictures.scale(one("residual"), 0, 0.5, mask=there), "residual", "relative RMS, 0 to 0.5")
-    flag = np.clip(one("residual", "flag").round().astype(int), 0, len(FLAG_COLOURS) - 1)
-    colours = np.array(FLAG_COLOURS, np.uint8)[flag] * there[..., None].astype(np.uint8)
-    legend = (
-        "yellow few lights, red saturated, blue no lobe, violet bad samples, orange facing away, teal peak outside the lights"
-    )
-    add(colours, "flags", legend)
+    flag = np.clip(one("residual", "flag").round().astype(int), 0, len(FLAGS) - 1)
+    colours = np.array([rgb for _, rgb, _ in FLAGS], np.uint8)[flag] * there[..., None].astype(np.uint8)
+    add(colours, "flags", flag_legend(flag[there]))
     return out
+
+
+def flag_legend(flags: np.ndarray) -> str:
+    """The colours of the flags that the pixels [P] of an object have, with their shares."""
+    share = np.bincount(flags, minlength=len(FLAGS)) / max(len(flags), 1)
+    there = [f"{colour} {meaning} ({100 * s:.1f} %)" for s, (colour, _, meaning) in zip(share[1:], FLAGS[1:]) if s > 0]
+    return ", ".join(there) or "none"
 
 
 def _in_reading_order(path: Path) -> tuple[str, int]:
