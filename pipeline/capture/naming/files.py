@@ -13,9 +13,7 @@ from pipeline.formats.bare_arrays import ARRAY_SUFFIXES
 from pipeline.formats.images import image_size
 
 FLOAT_SUFFIXES = frozenset({".exr", ".hdr"})
-PHOTO_SUFFIXES = frozenset(
-    {".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp", ".tga", ".pgm", ".ppm", ".pnm", ".pfm", ".webp"}
-)
+PHOTO_SUFFIXES = frozenset({".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp", ".tga", ".pgm", ".ppm", ".pnm", ".pfm", ".webp"})
 RAW_SUFFIXES = frozenset(
     {".dng", ".nef", ".cr2", ".cr3", ".arw", ".raf", ".orf", ".rw2", ".pef", ".srw", ".3fr", ".iiq", ".nrw", ".kdc", ".dcr",
      ".crw", ".mrw", ".mef", ".mos", ".erf", ".rwl", ".sr2", ".srf", ".fff", ".x3f", ".gpr"}
