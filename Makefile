@@ -58,8 +58,9 @@ test: $(READY) lint  ## everything, fast tests first
 test-fast: $(READY)  ## under a minute
 	$(FAST)
 
-lint: $(READY)  ## ruff and mypy
+lint: $(READY)  ## ruff (rules and format) and mypy
 	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
 bench: bench-rasterize bench-olat bench-train  ## all benchmarks; CAPTURES=folder of captures with ground truth
