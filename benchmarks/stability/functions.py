@@ -22,8 +22,6 @@ STEP = mpf("1e-22")  # of the central difference at 60 digits: 38 digits are lef
 ELEMENTS = 100_000
 VALUE, BESIDE_ZERO = 1e-5, 0.1
 """What a float32 value may be off, of itself; of this where the function crosses 0 (1e-6 in all)."""
-GRADIENT = 1e-3
-"""What a float32 gradient may be off, of the largest gradient within the function's own scale."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +60,7 @@ def _lobe(function: Callable[..., Any], lobe: str) -> Callable[..., Any]:
 CASES = (
     Case(fresnel.normal_reflectance, lambda eta: ((eta - 1) / (eta + 1)) ** 2, grids.ior),
     Case(fresnel.schlick, truths.schlick, grids.cosine_and_ior),
-    Case(fresnel.amplitudes, lambda c, eta: (-truths.amplitudes(c, eta)[0], truths.amplitudes(c, eta)[1]), grids.cosine_and_ior, zeros=True),
+    Case(fresnel.amplitudes, truths.opposed_amplitudes, grids.cosine_and_ior, zeros=True),
     Case(fresnel.reflectances, truths.powers, grids.cosine_and_ior, zeros=True),
     Case(fresnel.reflectance, lambda c, eta: sum(truths.powers(c, eta)) / 2, grids.cosine_and_ior),
     Case(fresnel.transmittances, lambda c, eta: tuple(1 - r for r in truths.powers(c, eta)), grids.cosine_and_ior),
@@ -109,7 +107,10 @@ def public(modules: Sequence[ModuleType] = (fresnel, microfacet, stokes, mueller
         name
         for module in modules
         for name, value in vars(module).items()
-        if inspect.isfunction(value) and value.__module__ == module.__name__ and not name.startswith("_") and name not in ELSEWHERE
+        if inspect.isfunction(value)
+        and value.__module__ == module.__name__
+        and not name.startswith("_")
+        and name not in ELSEWHERE
     }
 
 
@@ -161,35 +162,40 @@ def _row(case: Case, call: Callable[..., Any], dtype: torch.dtype, name: str) ->
     columns = [x.requires_grad_() for x in _columns(case.points(), dtype)]
     value = _components(call(*columns))
     points = torch.stack([x.detach() for x in columns], 1).double().numpy()
-    truth, slopes = _true(case, points.tolist())
-    gradient = np.stack(
-        [
-            np.stack([g.double().numpy() for g in torch.autograd.grad(value[:, k].sum(), columns, retain_graph=True, allow_unused=False)], -1)
-            if value[:, k].requires_grad else np.zeros_like(points)
-            for k in range(value.shape[1])
-        ], 1,
-    )  # fmt: skip
-    got = value.detach().double().numpy()
-    small, largest = float(torch.finfo(dtype).tiny), float(torch.finfo(dtype).max)
-    there = np.abs(truth.astype(float)) < largest
-    off = np.array([[abs(float(mpf(g) - t)) if np.isfinite(g) else np.inf for g, t in zip(*pair)] for pair in zip(got, truth)])
+    exact, slopes = _true(case, points.tolist())
+    truth, got = np.abs(exact.astype(float)), value.detach().double().numpy()
+    there = truth < float(torch.finfo(dtype).max)
+    off = np.array([[abs(float(mpf(g) - t)) if np.isfinite(g) else np.inf for g, t in zip(*pair)] for pair in zip(got, exact)])
     beside = np.array([[case.zeros(*p)] for p in points]) if callable(case.zeros) else 1.0 if case.zeros else 0.0
-    size = np.maximum(np.abs(truth.astype(float)), np.maximum(BESIDE_ZERO * beside, small))
+    size = np.maximum(truth, np.maximum(BESIDE_ZERO * beside, float(torch.finfo(dtype).tiny)))
     relative = np.where(there, off / size, 0)
-    bar = VALUE * (1.0 if dtype is torch.float32 else 1e-7) + case.approximation
-    scale = np.abs(slopes).max((0, 1), keepdims=True).clip(1e-30) if case.smooth else 1.0
+    gradient = _gradients(value, columns)
     finite = np.isfinite(gradient)
-    slope = np.where(finite, np.abs(gradient - slopes) / np.maximum(np.abs(slopes), 1e-3 * np.minimum(scale, 1e3)), 0) if case.smooth else np.zeros(1)
-    worst = int(relative.max(1).argmax())
-    return Row(
-        part="functions", name=case.title, setting=name,
-        figures={
-            "value": float(relative.max()), "absolute": float(off[there].max()), "gradient": float(slope.max()),
-            "not_finite": int((~finite).sum() + (~np.isfinite(got) & there).sum()), "ns": _nanoseconds(call, case.points(), dtype),
-        },
-        worst=", ".join(f"{x:.6g}" for x in points[worst]),
-        sound=bool(relative.max() <= bar and finite.all()),
-    )  # fmt: skip
+    figures = {
+        "value": float(relative.max()),
+        "absolute": float(off[there].max()),
+        "gradient": _slope_error(gradient, slopes, finite) if case.smooth else float("nan"),
+        "not_finite": int((~finite).sum() + (~np.isfinite(got) & there).sum()),
+        "ns": _nanoseconds(call, case.points(), dtype),
+    }
+    bar = VALUE * (1.0 if dtype is torch.float32 else 1e-7) + case.approximation
+    worst = ", ".join(f"{x:.6g}" for x in points[int(relative.max(1).argmax())])
+    return Row("functions", case.title, name, figures, bool(relative.max() <= bar and finite.all()), worst)
+
+
+def _gradients(value: torch.Tensor, columns: Sequence[torch.Tensor]) -> NDArray[np.float64]:
+    """[N, components, arguments] by autograd."""
+    out = np.zeros((len(value), value.shape[1], len(columns)))
+    for k in range(value.shape[1]):
+        for j, gradient in enumerate(torch.autograd.grad(value[:, k].sum(), columns, retain_graph=True)):
+            out[:, k, j] = gradient.double().numpy()
+    return out
+
+
+def _slope_error(gradient: NDArray[np.float64], slopes: NDArray[np.float64], finite: NDArray[np.bool_]) -> float:
+    """Largest error of a gradient, of itself; of a thousandth of the argument's largest (1 at most) where it vanishes."""
+    scale = np.minimum(1e-3 * np.abs(slopes).max((0, 1), keepdims=True).clip(1e-30), 1.0)
+    return float(np.where(finite, np.abs(gradient - slopes) / np.maximum(np.abs(slopes), scale), 0).max())
 
 
 def _nanoseconds(call: Callable[..., Any], points: NDArray[np.float64], dtype: torch.dtype) -> float:

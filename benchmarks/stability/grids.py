@@ -10,7 +10,18 @@ from numpy.typing import NDArray
 Points = NDArray[np.float64]
 
 RANDOM = 400
-COSINES = (1.0, 1 - 1e-7, float(np.cos(1e-4)), float(np.cos(1e-2)), 0.866, 0.5, 0.1, float(np.cos(np.radians(89.99))), 1e-5, 2e-6)
+COSINES = (
+    1.0,
+    1 - 1e-7,
+    float(np.cos(1e-4)),
+    float(np.cos(1e-2)),
+    0.866,
+    0.5,
+    0.1,
+    float(np.cos(np.radians(89.99))),
+    1e-5,
+    2e-6,
+)
 IORS = (1.0, 1 + 1e-7, 1 + 1e-4, 1.001, 1.3, 1.5, 2.0, 2.3, 2.6)
 ALPHAS = (1e-6, 1e-4, 0.0064, 0.05, 0.3, 1.0)
 BESIDE_BREWSTER = (0.0, 1e-6, -1e-6, 1e-4, -1e-4, 1e-2, -1e-2)  # rad
@@ -61,7 +72,7 @@ def stokes() -> Points:
     """(s0, s1, s2) [N, 3]: lengths from 1e-37 to 1e30, unpolarised, fully polarised and beyond."""
     shares = ((1.0, 0.0, 0.0), (1.0, 1.0, 0.0), (1.0, 0.0, -1.0), (1.0, 0.3, 0.4), (1.0, -1e-6, 1e-6), (1.0, 0.9, 0.9))
     stiff = np.array([(a * length, b * length, c * length) for a, b, c in shares for length in LENGTHS])
-    random = np.random.default_rng(4).uniform(-1, 1, (RANDOM, 3)) + (1.01, 0, 0)
+    random = np.random.default_rng(4).uniform(-1, 1, (RANDOM, 3)) + np.array([1.01, 0.0, 0.0])
     return np.concatenate((stiff, random))
 
 

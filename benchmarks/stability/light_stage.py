@@ -1,4 +1,4 @@
-"""The light stage's fits on pixels of known truth, from mirror to matt, few lights to many: what is flagged good must be right."""
+"""The light stage's fits on pixels of known truth, mirror to matt, few lights to many: what is flagged good must be right."""
 
 from __future__ import annotations
 
@@ -50,7 +50,10 @@ def settings() -> list[Setting]:
         for noise in (1e-3, 3e-3, 1e-2, 3e-2):
             for sigma in (0.02, 0.1, 0.3, 0.8):
                 out.append(
-                    Setting(f"{lobe}, round {sigma}, noise {noise:g}", options={"lobe": lobe, "sigma": (sigma, sigma), "noise": noise})
+                    Setting(
+                        f"{lobe}, round {sigma}, noise {noise:g}",
+                        options={"lobe": lobe, "sigma": (sigma, sigma), "noise": noise},
+                    )
                 )
     for noise in (0.0, 2e-3, 1e-2):
         for rig in RIGS:
@@ -61,7 +64,9 @@ def settings() -> list[Setting]:
             options = {"sigma": (0.3, 0.3), "noise": noise, "tilt_deg": tilt}
             out.append(Setting(f"ward, round 0.3, views to {tilt} deg, noise {noise:g}", options=options))
     for shadow in (0.3, 0.6, 1.0):
-        out.append(Setting(f"ward, shadow {shadow} rad, noise 0.01", options={"sigma": (0.3, 0.3), "shadow": shadow, "noise": 1e-2}))
+        out.append(
+            Setting(f"ward, shadow {shadow} rad, noise 0.01", options={"sigma": (0.3, 0.3), "shadow": shadow, "noise": 1e-2})
+        )
     for level in (2.0, 0.8, 0.4):
         out.append(Setting(f"ward, clipped at {level}", options={"sigma": (0.3, 0.3), "clip": level}))
     for brightness in (1e-20, 1e15):
@@ -130,8 +135,10 @@ def _row(setting: Setting, seed: int) -> Row:
     good = rows[:, FLAG] == GOOD
     sigma = rows[:, AT["sigma"]]
     off = {
-        "n_d": angle_deg(_or_up(rows[:, AT["diffuse_normal"]]), made.normal), "n_s": angle_deg(_or_up(rows[:, AT["specular_normal"]]), made.normal),
-        "sigma": np.abs(sigma / made.sigma - 1).max(1), "rho_s": np.abs(rows[:, AT["specular_albedo"]][:, 0] / made.specular - 1),
+        "n_d": angle_deg(_or_up(rows[:, AT["diffuse_normal"]]), made.normal),
+        "n_s": angle_deg(_or_up(rows[:, AT["specular_normal"]]), made.normal),
+        "sigma": np.abs(sigma / made.sigma - 1).max(1),
+        "rho_s": np.abs(rows[:, AT["specular_albedo"]][:, 0] / made.specular - 1),
     }  # fmt: skip
     wrong = good & (np.maximum(off["n_d"], off["n_s"]) > WRONG_DEG)
     wrong |= good & (np.maximum(off["sigma"], off["rho_s"]) > WRONG_SHARE)
@@ -143,7 +150,9 @@ def _row(setting: Setting, seed: int) -> Row:
     faults = [
         f"{100 * share:.1f} % of those flagged good are wrong" if wrong.sum() > max(MOST_WRONG * good.sum(), 1) else "",
         f"a specular albedo of {most:.1e} is flagged good" if most > RHO_SPACE else "",
-        f"a round lobe has a median anisotropy of {bent:.2f}" if is_round and not noisy and bent > max(ANISOTROPIC, ROUND) else "",
+        f"a round lobe has a median anisotropy of {bent:.2f}"
+        if is_round and not noisy and bent > max(ANISOTROPIC, ROUND)
+        else "",
         "values that are not finite" if not np.isfinite(rows).all() else "",
     ]
     flags = np.bincount(rows[:, FLAG].astype(int), minlength=len(FLAGS))
@@ -151,7 +160,8 @@ def _row(setting: Setting, seed: int) -> Row:
         part="light stage", name=setting.name, setting=setting.rig,
         figures={
             "good": float(good.mean()), "wrong": share, "n_d": _median(off["n_d"], good), "n_s": _median(off["n_s"], good),
-            "sigma": _median(off["sigma"], good), "rho_s": _median(off["rho_s"], good), "ms": 1e3 * seconds / PIXELS / len(CANDIDATES),
+            "sigma": _median(off["sigma"], good), "rho_s": _median(off["rho_s"], good),
+            "ms": 1e3 * seconds / PIXELS / len(CANDIDATES),
         },
         sound=not any(faults), why="; ".join(f for f in faults if f),
         worst=", ".join(f"{name} {n}" for name, n in zip(FLAGS, flags) if n and name != "good"),

@@ -17,6 +17,12 @@ def amplitudes(c: Value, eta: Value) -> tuple[Value, Value]:
     return (c - eta * ct) / (c + eta * ct), (eta * c - ct) / (eta * c + ct)
 
 
+def opposed_amplitudes(c: Value, eta: Value) -> tuple[Value, Value]:
+    """(-r_s, r_p)."""
+    s, p = amplitudes(c, eta)
+    return -s, p
+
+
 def powers(c: Value, eta: Value) -> tuple[Value, Value]:
     """(R_s, R_p)."""
     s, p = amplitudes(c, eta)
@@ -118,7 +124,11 @@ def polariser(theta: Value, extinction: Value) -> tuple[Value, ...]:
     k = contrast(extinction)
     c, s = mpmath.cos(2 * theta), mpmath.sin(2 * theta)
     cross = mpmath.sqrt(1 - k * k)
-    rows = ((1, k * c, k * s), (k * c, c * c + s * s * cross, c * s * (1 - cross)), (k * s, c * s * (1 - cross), s * s + c * c * cross))
+    rows = (
+        (1, k * c, k * s),
+        (k * c, c * c + s * s * cross, c * s * (1 - cross)),
+        (k * s, c * s * (1 - cross), s * s + c * c * cross),
+    )
     return tuple(mpf(x) / 2 for row in rows for x in row)
 
 
