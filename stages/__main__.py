@@ -23,7 +23,14 @@ def inspect(capture: Capture, steps: Sequence[Step], folder: Path, found: Mappin
     return write_inspection(capture, steps, folder, found, disk_estimate(capture, running))
 
 
-PROGRAM = Program(STAGES, module="stages", report="metrics", inspect=inspect)
+def compare(paths: Sequence[Path], output: Path) -> Path:
+    """Write the page that shows results side by side to `output`; returns its path. Raises UserError."""
+    from stages.metrics.comparison.page import compare as write_comparison
+
+    return write_comparison(paths, output)
+
+
+PROGRAM = Program(STAGES, module="stages", report="metrics", inspect=inspect, compare=compare)
 
 
 def main() -> None:
