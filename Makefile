@@ -20,10 +20,10 @@ READY := $(VENV)/.ready
 export CAPTURE DATASET PARAMS ENVS DEVICE JOBS CAPTURES DEMO
 OPTIONS = $(if $(CAPTURE),"$$CAPTURE") --dataset="$$DATASET" --params="$$PARAMS" --envs="$$ENVS" --device="$$DEVICE" --jobs="$$JOBS"
 
-.PHONY: all plan inspect report verify gc $(STAGES) setup demo test test-fast lint bench bench-train bench-olat bench-rasterize clean help
+.PHONY: all plan inspect report tradeoff verify gc $(STAGES) setup demo test test-fast lint bench bench-train bench-olat bench-rasterize stability clean help
 .DEFAULT_GOAL := help
 
-all plan inspect report $(STAGES): $(READY)
+all plan inspect report tradeoff $(STAGES): $(READY)
 	@exec $(BIN)/polarfield $@ $(OPTIONS)
 
 verify: $(READY)
@@ -68,6 +68,9 @@ bench: bench-rasterize bench-olat bench-train  ## all benchmarks; CAPTURES=folde
 $(VENV)/.bench: $(READY)
 	$(BIN)/python -m pip install --quiet --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[bench]'
 	@touch $@
+
+stability: $(READY)  ## stiff and extreme cases, every verdict in docs/stability.md
+	$(BIN)/python -m benchmarks.stability
 
 bench-train bench-olat bench-rasterize: $(VENV)/.bench
 	$(BIN)/python -m benchmarks.$(subst -,_,$@) $(if $(CAPTURES),--captures "$$CAPTURES")

@@ -15,10 +15,10 @@ from pipeline.shading.prefilter import LightField
 from stages.train.rasterize import rasterize
 from synth.environments import ENVIRONMENTS
 
-VALUE = 2e-5
-"""Off by at most this, of the point's largest Stokes component: float32 through some hundred sums."""
+VALUE = 5e-5
+"""Off by at most this, of the point's largest Stokes component: float32 through sums of light that spans five decades."""
 GRADIENT = 5e-3  # at the 99th percentile, of the largest gradient of the same argument
-COSINES = (1.0, 1 - 1e-6, 0.9999, 0.99, 0.8, 0.5, 0.2, 0.05, 0.01, 1e-3, 0.0, -0.3)
+COSINES = (1.0, 1 - 1e-6, 0.9999, 0.99, 0.8, 0.5, 0.2, 0.05, 0.01, 2e-3, 0.0, -0.3)
 ROUGHNESSES = (0.0, 0.05, 0.08, 0.2, 0.5, 0.9, 1.5)
 IORS = (1.0, 1.001, 1.3, 1.5, 2.3, 3.0)
 RESOLUTION = 32

@@ -19,6 +19,7 @@ COMMANDS = {
     "inspect": "write a page that shows what was understood of a capture, before anything long runs",
     "report": "write the report of the results in use and say where it lies; runs no other stage",
     "compare": "show results side by side, figures and pictures: datasets, or versions of them (DATASET/metrics/VERSION)",
+    "tradeoff": "run a capture with other parameters, for up to ten times its own time: error against seconds",
     "verify": "read everything in use against its digests and name what is damaged or missing (then the exit status is 1)",
     "gc": "remove versions that nothing in use was made from, and unfinished work; lists them, and asks unless --yes is given",
 }

@@ -1,4 +1,4 @@
-"""The `polarfield` command: `all`, one command per stage, `plan`, `inspect`, `report`, `compare`, `verify`, `gc`."""
+"""The `polarfield` command: `all`, one command per stage, and those of `arguments.COMMANDS`."""
 
 from __future__ import annotations
 
@@ -42,13 +42,17 @@ Compare = Callable[[Sequence[Path], Path], Path]
 """Write a page that shows results side by side into a folder; returns its path."""
 
 
+Tradeoff = Callable[[Path, Path, str, str, Callable[[str], None]], Path]
+"""Try a capture (first) with other parameters beside its dataset, given PARAMS and ENVS; returns the page's path."""
+
+
 @dataclass(frozen=True)
 class Program:
     """What a command line runs: this file knows no stage.
 
     `modules`: each stage's module by its name, in running order. `module`: `python -m MODULE STAGE ...` runs one stage in
     a process of its own. `report`: the stage whose output the report is. `inspect` writes the page of `inspect`,
-    `compare` that of `compare`.
+    `compare` that of `compare`, `tradeoff` tries out other parameters.
     """
 
     modules: Mapping[str, str]
@@ -56,6 +60,7 @@ class Program:
     report: str
     inspect: Inspect
     compare: Compare | None = None
+    tradeoff: Tradeoff | None = None
 
 
 @dataclass(frozen=True)
@@ -109,6 +114,10 @@ def _run(program: Program, arguments: Sequence[str]) -> int:
         return _show(call)
     if options.command == "report":
         return _report(call)
+    if options.command == "tradeoff" and program.tradeoff is not None:
+        texts = call.settings.params_text(), call.settings.envs_text()
+        print(f"tradeoff: {program.tradeoff(call.capture.root, call.dataset.root, *texts, call.progress.say)}")
+        return 0
     call.dataset.prepare()
     with call.dataset.in_use():
         steps = make_plan(call.capture, stages, call.settings.parameters, call.capture.environments, call.dataset.digests)

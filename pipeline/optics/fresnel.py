@@ -78,7 +78,7 @@ def amplitudes(c: Array, eta: Array) -> tuple[Array, Array]:
 
 
 def reflectances(c: Array, eta: Array) -> tuple[Array, Array]:
-    """Exact power reflectances (R_s, R_p), perpendicular and parallel to the plane of incidence; R_p is 0 at Brewster's angle."""
+    """Exact power reflectances (R_s, R_p), across and in the plane of incidence; R_p is 0 at Brewster's angle."""
     s, p = amplitudes(c, eta)
     return s * s, p * p
 

@@ -29,10 +29,13 @@ def compare(paths: Sequence[Path], output: Path) -> Path:
     names = [result.name for result in results]
     figures, costs, parameters = figure_lines(results), cost_lines(results), parameter_lines(results)
     print(as_text([*figures, *(line for line in costs if line.group == "all")], names))
-    context = {"names": names, "paths": [str(p) for p in paths], "figures": figures, "costs": costs, "parameters": parameters}
+    context: dict[str, Any] = {
+        "names": names, "paths": [str(p) for p in paths], "figures": figures, "costs": costs, "parameters": parameters,
+    }  # fmt: skip
     output.mkdir(parents=True, exist_ok=True)
     page = output / "compare.html"
-    page.write_text(render("compare.html.jinja", {**context, "views": view_rows(results)}, Path(__file__).parent), encoding="utf-8")
+    context["views"] = view_rows(results)
+    page.write_text(render("compare.html.jinja", context, Path(__file__).parent), encoding="utf-8")
     return page
 
 
@@ -57,8 +60,8 @@ def _row(view: str, results: Sequence[Result]) -> dict[str, Any]:
         cells = [picture(pictures.radiance(model, gain), "model", result.name, LONGEST_PX, "")]
         if model.shape == measured.shape:
             inside = surface.alpha[..., None] > 0.02
-            difference = (np.abs(model - measured) * inside).mean(-1) * gain
-            cells.append(picture(pictures.scale(difference, 0, DIFFERENCE_FULL), "difference", "|s0| in the object", LONGEST_PX, ""))
+            off = pictures.scale((np.abs(model - measured) * inside).mean(-1) * gain, 0, DIFFERENCE_FULL)
+            cells.append(picture(off, "difference", "|s0| in the object", LONGEST_PX, ""))
         cells.append(picture(pictures.normals(surface.normal), "normals", result.name, LONGEST_PX, ""))
         columns.append(cells)
     return {"view": view, "photograph": first, "columns": columns}

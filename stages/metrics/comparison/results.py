@@ -54,9 +54,9 @@ def _read(path: Path) -> Result:
         metrics = json.loads((place / "metrics.json").read_text())
     except (OSError, ValueError) as error:
         raise UserError(place / "metrics.json", f"cannot be read ({error})", f"`make verify DATASET={dataset.root}`") from error
-    manifests, folders = {"metrics": version.manifest}, {"metrics": place}
+    manifests, folders = {"metrics": dict(version.manifest)}, {"metrics": place}
     for stage, upstream in version.manifest.get("inputs", {}).get("stages", {}).items():
         made = dataset.read(stage, upstream)
         if made is not None:
-            manifests[stage], folders[stage] = made.manifest, dataset.place(made)
+            manifests[stage], folders[stage] = dict(made.manifest), dataset.place(made)
     return Result(name, metrics, manifests, folders)

@@ -12,12 +12,15 @@ from stages.metrics.report.figures import SKIPPED, describe, text_of
 COSTS = ("wall_s", "cpu_s", "peak_rss_mb")
 UP = ("psnr", "ssim", "likeness", "fscore", "correlation")
 """Words in the names of figures of which more is better; of errors, less is."""
-ERRORS = ("mae", "error", "median_deg", "mean_deg", "p90_deg", "chamfer", "accuracy", "completeness", "flip", "lpips", "off", "residual")
+ERRORS = (
+    "mae", "error", "median_deg", "mean_deg", "p90_deg", "chamfer", "accuracy", "completeness", "flip", "lpips", "off",
+    "residual",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Line:
-    """A row: what it is, one value for each result (None where it has none), and which of them is best (None: no such thing)."""
+    """A row: what it is, a value for each result (None: it has none), and which of them is best (None: no such thing)."""
 
     group: str
     title: str
@@ -54,7 +57,7 @@ def cost_lines(results: Sequence[Result]) -> list[Line]:
 def parameter_lines(results: Sequence[Result]) -> list[Line]:
     """Parameters that differ."""
     tables = [
-        {(stage, k): v for stage, m in result.manifests.items() for k, v in m.get("parameters", {}).items()} for result in results
+        {(s, k): v for s, m in result.manifests.items() for k, v in m.get("parameters", {}).items()} for result in results
     ]
     keys = dict.fromkeys(key for table in tables for key in table)
     rows = [(key, [table.get(key) for table in tables]) for key in keys]
@@ -95,4 +98,5 @@ def as_text(lines: Sequence[Line], names: Sequence[str]) -> str:
         cells = [text + (" *" if k == line.best else "  ") for k, text in enumerate(line.texts)]
         rows.append([f"{line.group}: {line.title}", *cells])
     widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
-    return "\n".join("  ".join([row[0].ljust(widths[0]), *(c.rjust(w) for c, w in zip(row[1:], widths[1:]))]).rstrip() for row in rows)
+    padded = ([row[0].ljust(widths[0]), *(c.rjust(w) for c, w in zip(row[1:], widths[1:]))] for row in rows)
+    return "\n".join("  ".join(row).rstrip() for row in padded)
