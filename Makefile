@@ -87,6 +87,7 @@ help:
 	@echo "plan                      what 'all' would run, what is done already, and why"
 	@echo "$(STAGES)"
 	@echo "                          one stage and what it needs; stages that PARAMS does not name stay as in the last run"
+	@echo "tradeoff                  error against seconds on this capture, and PARAMS for twice as fast and for the smallest error"
 	@echo "report                    write the report of the results in use and say where it lies; runs no other stage"
 	@echo "verify                    name what is damaged of everything in use; DATASET=folder [FULL=1] [REPAIR=1: drop that]"
 	@echo "gc                        remove versions that nothing in use was made from; DATASET=folder [DRY_RUN=1] [YES=1]"
