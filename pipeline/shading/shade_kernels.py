@@ -9,15 +9,15 @@ import numpy as np
 from numba import get_num_threads, prange
 
 from pipeline.kernels.compiling import kernel
-from pipeline.optics.fresnel import HEMISPHERICAL, HEMISPHERICAL_RANGE
+from pipeline.optics.fresnel import HEMISPHERICAL, HEMISPHERICAL_RANGE, HEMISPHERICAL_STEP, MIN_EXCESS
 
 from . import limits, splitsum
 from .cube_kernels import MATH, add, direction_gradient, fetch, mirrored_texels, texels
 from .prefilter_kernels import REFERENCE_IOR
 
 _HEMISPHERICAL = np.array(HEMISPHERICAL, np.float32)
-_CENTRE = np.float32(sum(HEMISPHERICAL_RANGE) / 2)
-_HALF = np.float32((HEMISPHERICAL_RANGE[1] - HEMISPHERICAL_RANGE[0]) / 2)
+_HEMISPHERICAL_STEP = np.float32(HEMISPHERICAL_STEP)
+_MIN_EXCESS, _MAX_EXCESS = np.float32(MIN_EXCESS), np.float32(HEMISPHERICAL_RANGE[1] - 1)
 _LOW_IOR = np.float32(splitsum.IOR_RANGE[0])
 _IOR_STEP = np.float32((splitsum.IOR_NODES - 1) / (splitsum.IOR_RANGE[1] - splitsum.IOR_RANGE[0]))
 _IORS, _ROUGHS, _COSINES = splitsum.IOR_NODES, splitsum.ROUGHNESS_NODES, splitsum.COSINE_NODES
@@ -68,14 +68,15 @@ def _surface(c, e):
 @kernel(fastmath=MATH, error_model="numpy")
 def _entering(e):
     """Hemispherical transmittance and its slope."""
-    x = (e - _CENTRE) / _HALF
-    inside = x <= _ONE
-    x = min(x, _ONE)
+    excess = min(max(e - _ONE, _ZERO), _MAX_EXCESS)
+    root = np.sqrt(max(excess, _MIN_EXCESS))
+    x = root * _HEMISPHERICAL_STEP - _ONE
     value, slope = _ZERO, _ZERO
     for k in range(len(_HEMISPHERICAL) - 1, -1, -1):
         slope = slope * x + value
         value = value * x + _HEMISPHERICAL[k]
-    return value, (slope / _HALF if inside else _ZERO)
+    inside = e - _ONE <= _MAX_EXCESS
+    return _ONE - excess * value, (-value - _HALF_ONE * root * _HEMISPHERICAL_STEP * slope if inside else _ZERO)
 
 
 @kernel(fastmath=MATH, error_model="numpy")

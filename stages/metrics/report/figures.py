@@ -74,6 +74,9 @@ FIGURES = {
     "saturated_fraction": Figure("Saturated samples", "%", 3, 100),
     "noise": Figure("Noise of a sample", "", 5),
     "coverage": Figure("Object in the frame", "%", 1, 100),
+    "wall_s": Figure("Wall time", "s", 1),
+    "cpu_s": Figure("Processor time", "s", 1),
+    "peak_rss_mb": Figure("Peak memory", "MB", 0),
     "condition": Figure("Condition of the polariser angles", "", 1),
 }
 HEADLINES = {
