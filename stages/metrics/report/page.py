@@ -18,13 +18,14 @@ from pipeline.report.render import render
 from .figures import headlines, tables, text_of
 from .viewer import page
 from .viewer.model_scene import model_scene
+from .viewer.rig_scene import rig_scene
 
 FOLDER = Path(__file__).parent
 
 
 def write_report(run: StageRun, metrics: dict[str, Any], manifests: Mapping[str, dict[str, Any]]) -> None:
     """Write report.html into the stage's output."""
-    scene = model_scene(run)
+    scene = model_scene(run) or rig_scene(run)
     context = {
         "text_of": text_of,
         "name": run.capture.root.name,

@@ -16,3 +16,8 @@ function halfOf(x) {
   if (exponent <= 0) return Math.round(oneFloat[0] * 16777216);  // below 2^-14: steps of 2^-24
   return Math.min(((exponent << 10) | ((bits >>> 13) & 1023)) + ((bits >>> 12) & 1), 31743);
 }
+
+function floatOf(half) {
+  const exponent = (half >>> 10) & 31, mantissa = half & 1023, sign = half & 32768 ? -1 : 1;
+  return sign * (exponent ? (1 + mantissa / 1024) * 2 ** (exponent - 15) : mantissa * 2 ** -24);
+}

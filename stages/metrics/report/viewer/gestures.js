@@ -1,5 +1,5 @@
 // Mouse, touch and pen on a canvas: one finger or the left button drags, two fingers or the right button pan, pinch and wheel zoom,
-// two taps frame. Calls drag(dx, dy), pan(dx, dy), zoom(factor), frame(), hover(event | null); lengths in shares of the shorter side.
+// two taps frame. Calls drag(dx, dy, event), pan(dx, dy), zoom(factor), frame(), hover(event | null); lengths in shares of the shorter side.
 function listen(canvas, calls) {
   const down = new Map();
   let tapped = 0, moved = 0;
@@ -21,7 +21,7 @@ function listen(canvas, calls) {
       calls.zoom(before / Math.max(spread(), 1));
       calls.pan(dx / 2, dy / 2);
     } else if (event.buttons & 6 || event.shiftKey) calls.pan(dx, dy);
-    else calls.drag(dx, dy);
+    else calls.drag(dx, dy, event);
   });
   const up = event => {
     if (!down.delete(event.pointerId) || moved > 8 || event.type === 'pointercancel') return;

@@ -4,7 +4,8 @@ async function start() {
   const data = document.getElementById('viewer-scene'), root = document.getElementById('viewer');
   if (!data || !window.DecompressionStream || !window.WebGL2RenderingContext) return;
   root.hidden = false;
-  const viewer = await ModelViewer.open(root, JSON.parse(data.textContent)).catch(() => null);
+  const scene = JSON.parse(data.textContent), kind = scene.kind === 'rig' ? RigViewer : ModelViewer;
+  const viewer = await kind.open(root, scene).catch(() => null);
   if (viewer) root.viewer = viewer;
   else root.hidden = true;
 }

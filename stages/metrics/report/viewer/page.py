@@ -9,7 +9,7 @@ from typing import Any
 FOLDER = Path(__file__).parent
 SCRIPTS = (
     "bytes", "vectors", "octahedral", "prefilter", "hdr", "programs", "orbit", "gestures", "probe", "model", "readout",
-    "model_viewer", "model_input", "enlarge", "main",
+    "model_viewer", "model_input", "rig", "rig_viewer", "enlarge", "main",
 )  # fmt: skip
 """In the order in which they need each other."""
 SHADERS = ("*.glsl", "*.vert", "*.frag")

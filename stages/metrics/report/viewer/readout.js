@@ -36,3 +36,16 @@ function legendOf(shown, scales) {
     roughness: bar('0', '1', stops(scales.viridis)), ior: bar(scales.ior[0], scales.ior[1], stops(scales.viridis)),
     normal: ['(n + 1) / 2 in the world’s axes'], albedo: ['diffuse reflectance, sRGB']}[shown] || [];
 }
+
+const RIG_NAMES = {
+  relit: 'relit by the light', diffuse: 'body (diffuse)', specular: 'mirrored (specular)', albedo: 'diffuse albedo', specular_albedo: 'specular albedo, 0 to 1',
+  diffuse_normal: 'diffuse normals', specular_normal: 'specular normals', sigma_larger: 'larger σ, 0 to 0.6', sigma_smaller: 'smaller σ, 0 to 0.6'};
+
+function rigValuesOf(images, i) {
+  const three = name => [...images[name].subarray(i, i + 3)], fourth = name => images[name][i + 3];
+  return [
+    ...line('diffuse albedo R G B', digits(three('albedo'))), ...line('specular albedo', fourth('albedo').toFixed(3)),
+    ...line('σ larger, smaller', digits([fourth('normal_s'), fourth('tangent')])),
+    ...line('diffuse normal', digits(three('normal_d'), 2)), ...line('specular normal', digits(three('normal_s'), 2)),
+    ...line('tangent', digits(three('tangent'), 2))];
+}
