@@ -130,7 +130,7 @@ def test_every_script_and_shader_of_the_folder_is_used():
 def light_stage(folder: Path, camera: Camera) -> np.ndarray:
     """Maps of a sphere with an anisotropic lobe, as the olat stage writes them; the pixels inside."""
     rays = camera.rays()
-    b = (rays @ camera.centre)
+    b = rays @ camera.centre
     root = b**2 - (camera.centre @ camera.centre - 1)
     inside = root > 0
     n = np.where(inside[..., None], camera.centre + rays * (-b - np.sqrt(np.maximum(root, 0)))[..., None], 0)
@@ -154,7 +154,8 @@ def light_stage(folder: Path, camera: Camera) -> np.ndarray:
 
 
 def camera_at(position) -> Camera:
-    return Camera(SIZE, SIZE, 1.6 * SIZE, 1.6 * SIZE, SIZE / 2, SIZE / 2, camera_from_opengl(look_at(np.array(position), np.zeros(3))))
+    pose = camera_from_opengl(look_at(np.array(position), np.zeros(3)))
+    return Camera(SIZE, SIZE, 1.6 * SIZE, 1.6 * SIZE, SIZE / 2, SIZE / 2, pose)
 
 
 def test_a_light_stages_maps_in_the_page_are_the_files(tmp_path):
@@ -175,7 +176,8 @@ def shown_in_browser(folder: Path, scene: dict, draw: str) -> np.ndarray:
     """Bytes [SIZE, SIZE, 4] of the viewer's canvas after the script `draw` (of `v`), by the browser's software renderer."""
     macro = "rig_viewer" if scene["kind"] == "rig" else "model_viewer"
     (folder / "page.jinja").write_text(
-        '{% from "viewer/viewer.html.jinja" import ' + macro + " %}<!doctype html><meta charset=utf-8><style>{{ look | safe }}</style><main>"
+        '{% from "viewer/viewer.html.jinja" import ' + macro + " %}"
+        "<!doctype html><meta charset=utf-8><style>{{ look | safe }}</style><main>"
         "{{ " + macro + '(scene) }}</main><script type="application/json" id="viewer-scene">{{ text | safe }}</script>'
         "<script>{{ script | safe }}</script><script>(async () => { const root = document.getElementById('viewer');"
         " while (!root.viewer || !(root.viewer.light || root.viewer.ready)) await new Promise(r => setTimeout(r, 20));"
@@ -183,11 +185,24 @@ def shown_in_browser(folder: Path, scene: dict, draw: str) -> np.ndarray:
         " out.textContent = v.canvas.toDataURL(); document.body.append(out); })()</script>"
     )
     shutil.copytree(REPORT / "viewer", folder / "viewer")
-    text = render("page.jinja", {"scene": scene, "text": page.embedded(scene), "script": page.script(), "look": page.style()}, folder)
+    context = {"scene": scene, "text": page.embedded(scene), "script": page.script(), "look": page.style()}
+    text = render("page.jinja", context, folder)
     (folder / "page.html").write_text(text, encoding="utf-8")
-    options = ["--headless", "--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking", "--disable-sync"]
+    options = [
+        "--headless",
+        "--no-sandbox",
+        "--disable-quic",
+        "--no-first-run",
+        "--disable-background-networking",
+        "--disable-sync",
+    ]
     options += ["--disable-component-update", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
-    options += [f"--user-data-dir={folder / 'profile'}", "--virtual-time-budget=60000", "--dump-dom", f"file://{folder / 'page.html'}"]
+    options += [
+        f"--user-data-dir={folder / 'profile'}",
+        "--virtual-time-budget=60000",
+        "--dump-dom",
+        f"file://{folder / 'page.html'}",
+    ]
     done = subprocess.run([str(CHROMIUM), *options], capture_output=True, text=True, timeout=300, check=False)
     found = re.search(r'id="shot">data:image/png;base64,([^<]+)<', done.stdout)
     if not found:
@@ -212,7 +227,8 @@ def test_the_viewer_draws_the_model_as_the_pipeline_shades_it(tmp_path):
     baked(tmp_path / "mesh.ply")
     camera, light = camera_at([2.0, 1.2, 3.4]), sky()
     entry = {"name": "a", "test": False, "angle": None, "picture": "data:,", **photographs.pose_entry(camera, np.eye(3))}
-    scene = scene_of(surface_entry(tmp_path / "mesh.ply", np.eye(3)), [light_entry("sky", "sky", light)], "ggx", np.eye(3), [entry], 1.0)
+    surface, lights = surface_entry(tmp_path / "mesh.ply", np.eye(3)), [light_entry("sky", "sky", light)]
+    scene = scene_of(surface, lights, "ggx", np.eye(3), [entry], 1.0)
     draw = (
         f"v.canvas.width = v.canvas.height = {SIZE}; v.state.camera = 0; v.state.exposure = 0;"
         " v.model.draw({place: v.place(), state: v.state, light: v.light, photograph: null});"
@@ -220,7 +236,7 @@ def test_the_viewer_draws_the_model_as_the_pipeline_shades_it(tmp_path):
     shown = shown_in_browser(tmp_path, scene, draw)
     image = rendered(TexturedMesh(tmp_path / "mesh.ply"), camera, Lamp(light, 64, ShadingModel(mirror="split")))
     inside = (shown[..., 3] == 255) & (image.min(-1) > 0)
-    inside[1:-1, 1:-1] &= inside[:-2, 1:-1] & inside[2:, 1:-1] & inside[1:-1, :-2] & inside[1:-1, 2:]  # outlines are smoothed there
+    inside[1:-1, 1:-1] &= inside[:-2, 1:-1] & inside[2:, 1:-1] & inside[1:-1, :-2] & inside[1:-1, 2:]
     assert inside.sum() > 0.2 * SIZE**2
     assert psnr(shown, image, inside) > 34
 
