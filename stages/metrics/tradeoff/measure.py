@@ -20,8 +20,8 @@ FIGURES = {
 
 @dataclass(frozen=True)
 class Measured:
-    """A run: parameters that differ from the user's, seconds of every stage without those that went into compiling kernels (once
-    for a machine), and its error over that of the user's run (1)."""
+    """A run: parameters that differ from the user's, seconds of every stage without those of compiling kernels (which happens
+    once on a machine), and its error over that of the user's run (1)."""
 
     changed: dict[str, Any]
     seconds: dict[str, float]
