@@ -11,6 +11,7 @@ from pipeline.engine.changes import State
 from pipeline.engine.cli import Program
 from pipeline.engine.cli import main as run_command
 from pipeline.engine.plan import Step
+from pipeline.errors import UserError
 from stages import STAGES
 
 
@@ -23,7 +24,16 @@ def inspect(capture: Capture, steps: Sequence[Step], folder: Path, found: Mappin
     return write_inspection(capture, steps, folder, found, disk_estimate(capture, running))
 
 
-PROGRAM = Program(STAGES, module="stages", report="metrics", inspect=inspect)
+def look(
+    capture: Capture, steps: Sequence[Step], found: Mapping[str, State], megapixels: float
+) -> tuple[Sequence[str], UserError | None]:
+    """What a run would warn of, and the fault that would end it, found by reading about so many million pixels."""
+    from stages.early_look import look as look_at
+
+    return look_at(capture, steps, found, megapixels)
+
+
+PROGRAM = Program(STAGES, module="stages", report="metrics", inspect=inspect, look=look)
 
 
 def main() -> None:

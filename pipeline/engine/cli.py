@@ -9,7 +9,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from pipeline.capture import Capture
@@ -36,6 +36,10 @@ from pipeline.errors import UserError, line_of
 
 Inspect = Callable[[Capture, Sequence[Step], Path, Mapping[str, State]], Path]
 """Write what was understood of a capture to a folder, with a plan and how its steps stand; returns the page's path."""
+Look = Callable[[Capture, Sequence[Step], Mapping[str, State], float], tuple[Sequence[str], UserError | None]]
+"""What a run would warn of, and the fault that would end it, found by reading about so many million pixels."""
+LOOKED_AT_MP = {"plan": 16.0, "inspect": 64.0}
+"""Of frames, read for `plan` and `inspect`: about two and ten seconds."""
 
 
 @dataclass(frozen=True)
@@ -43,13 +47,15 @@ class Program:
     """What a command line runs: this file knows no stage.
 
     `modules`: each stage's module by its name, in running order. `module`: `python -m MODULE STAGE ...` runs one stage in
-    a process of its own. `report`: the stage whose output the report is. `inspect` writes the page of `inspect`.
+    a process of its own. `report`: the stage whose output the report is. `inspect` writes the page of `inspect`. `look` tells
+    what a run would warn of.
     """
 
     modules: Mapping[str, str]
     module: str
     report: str
     inspect: Inspect
+    look: Look | None = None
 
 
 @dataclass(frozen=True)
@@ -130,14 +136,24 @@ def _show(call: Call) -> int:
     print(f"{call.capture.root.name}: {call.capture.layout}\n{plan_text(steps, found)}\n{outlook(found)}")
     if hint := keep_hint(call.last, call.settings, found, call.stages, call.command not in call.stages):
         print(hint)
-    for warning in expected_warnings(call.capture.warnings, call.dataset, found):
+    warnings = expected_warnings(call.capture.warnings, call.dataset, found)
+    for warning in warnings:
         print(f"warning: {warning}")
+    sys.stdout.flush()  # a look takes seconds
     for step in steps:
         if not found[step.stage.name].ready:
             step.stage.check(call.capture)
+    look = call.program.look
+    seen, fault = look(call.capture, steps, found, LOOKED_AT_MP[call.command]) if look is not None else ((), None)
+    new = [warning for warning in seen if warning not in warnings]
+    for warning in new:
+        print(f"warning: {warning}")
     if call.command == "inspect":
         folder = call.dataset.root.with_name(call.dataset.root.name + "-inspect")
-        print(f"inspection: {call.program.inspect(call.capture, steps, folder, found)}")
+        told = replace(call.capture, warnings=(*call.capture.warnings, *new, *([str(fault)] if fault is not None else [])))
+        print(f"inspection: {call.program.inspect(told, steps, folder, found)}")
+    if fault is not None:
+        raise fault
     return 0
 
 
