@@ -127,11 +127,21 @@ def _task(capture: Capture, step: Step, whole: bool) -> tuple[Task, Any] | None:
         return run, replace(parameters, triangulate=False)
     if name == "masks" and (whole if capture.kind == "light_stage" else _masks_are_given(capture, parameters)):
         return run, parameters
+    if name == "relight":
+        return _look_at_maps, parameters
     if name == "olat" and whole:
         from stages.olat.evidence.early import check_early
 
         return check_early, parameters
     return None
+
+
+def _look_at_maps(run: StageRun) -> None:
+    from stages.relight.environment_map import read_map
+
+    for path in run.capture.environments:
+        for fault in read_map(path)[1]:
+            run.warn(fault)
 
 
 def _masks_are_given(capture: Capture, parameters: Any) -> bool:

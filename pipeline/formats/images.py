@@ -55,6 +55,8 @@ def open_whole(path: Path, unassociated: bool = False) -> Any:
 
     if not path.is_file():
         raise UserError(path, "no such image", "check the path and the name")
+    if any("\ud800" <= c <= "\udfff" for c in str(path)):
+        raise UserError(path, "its name or its folder's is no text in UTF-8, which image libraries want", "rename it")
     if path.stat().st_size == 0:
         raise UserError(path, "the file is empty (0 bytes)", "copy it again from its source")
     if path.suffix.lower() == ".png":
