@@ -1,4 +1,4 @@
-"""The `polarfield` command: `all`, one command per stage, `plan`, `inspect`, `report`, `verify`, `gc`."""
+"""The `polarfield` command: `all`, one command per stage, and those of `arguments.COMMANDS`."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from pipeline.engine.arguments import parse
 from pipeline.engine.changes import State, expected_warnings, keep_hint, outlook, plan_text, stale_after, states
 from pipeline.engine.dataset import Dataset, digest_json
 from pipeline.engine.device import device_of, refuse_missing_cuda
+from pipeline.engine.early import Look, look_early, say_warnings
 from pipeline.engine.gc import collect
 from pipeline.engine.interrupts import Interrupted, in_child, interruptible, wait_for
 from pipeline.engine.places import open_places, refuse_another_capture
@@ -36,10 +37,10 @@ from pipeline.errors import UserError, line_of
 
 Inspect = Callable[[Capture, Sequence[Step], Path, Mapping[str, State]], Path]
 """Write what was understood of a capture to a folder, with a plan and how its steps stand; returns the page's path."""
-Look = Callable[[Capture, Sequence[Step], Mapping[str, State], float], tuple[Sequence[str], UserError | None]]
-"""What a run would warn of, and the fault that would end it, found by reading about so many million pixels."""
-LOOKED_AT_MP = {"plan": 16.0, "inspect": 64.0}
-"""Of frames, read for `plan` and `inspect`: about two and ten seconds."""
+Compare = Callable[[Sequence[Path], Path], Path]
+"""Write a page that shows results side by side into a folder; returns its path."""
+Tradeoff = Callable[[Path, Path, str, str, Callable[[str], None]], Path]
+"""Try a capture (first) with other parameters beside its dataset, given PARAMS and ENVS; returns the page's path."""
 
 
 @dataclass(frozen=True)
@@ -47,14 +48,16 @@ class Program:
     """What a command line runs: this file knows no stage.
 
     `modules`: each stage's module by its name, in running order. `module`: `python -m MODULE STAGE ...` runs one stage in
-    a process of its own. `report`: the stage whose output the report is. `inspect` writes the page of `inspect`. `look` tells
-    what a run would warn of.
+    a process of its own. `report`: the stage whose output the report is. `inspect` writes the page of `inspect`,
+    `compare` that of `compare`, `tradeoff` tries out other parameters, `look` tells what a run would warn of.
     """
 
     modules: Mapping[str, str]
     module: str
     report: str
     inspect: Inspect
+    compare: Compare | None = None
+    tradeoff: Tradeoff | None = None
     look: Look | None = None
 
 
@@ -99,6 +102,9 @@ def main(program: Program, arguments: Sequence[str]) -> int:
 def _run(program: Program, arguments: Sequence[str]) -> int:
     stages = load_stages(program.modules)
     options = parse(stages, arguments)
+    if options.command == "compare" and program.compare is not None:
+        print(f"comparison: {program.compare([Path(p) for p in options.datasets], Path(options.out))}")
+        return 0
     if options.command in ("gc", "verify"):
         return {"gc": collect, "verify": verify}[options.command](options, stages)
     call = _call(program, options, stages)
@@ -106,6 +112,10 @@ def _run(program: Program, arguments: Sequence[str]) -> int:
         return _show(call)
     if options.command == "report":
         return _report(call)
+    if options.command == "tradeoff" and program.tradeoff is not None:
+        texts = call.settings.params_text(), call.settings.envs_text()
+        print(f"tradeoff: {program.tradeoff(call.capture.root, call.dataset.root, *texts, call.progress.say)}")
+        return 0
     call.dataset.prepare()
     with call.dataset.in_use():
         steps = make_plan(call.capture, stages, call.settings.parameters, call.capture.environments, call.dataset.digests)
@@ -137,20 +147,14 @@ def _show(call: Call) -> int:
     if hint := keep_hint(call.last, call.settings, found, call.stages, call.command not in call.stages):
         print(hint)
     warnings = expected_warnings(call.capture.warnings, call.dataset, found)
-    for warning in warnings:
-        print(f"warning: {warning}")
-    sys.stdout.flush()  # a look takes seconds
+    say_warnings(warnings)
     for step in steps:
         if not found[step.stage.name].ready:
             step.stage.check(call.capture)
-    look = call.program.look
-    seen, fault = look(call.capture, steps, found, LOOKED_AT_MP[call.command]) if look is not None else ((), None)
-    new = [warning for warning in seen if warning not in warnings]
-    for warning in new:
-        print(f"warning: {warning}")
+    new, fault = look_early(call.program.look, call.capture, steps, found, call.command, warnings)
     if call.command == "inspect":
         folder = call.dataset.root.with_name(call.dataset.root.name + "-inspect")
-        told = replace(call.capture, warnings=(*call.capture.warnings, *new, *([str(fault)] if fault is not None else [])))
+        told = replace(call.capture, warnings=(*call.capture.warnings, *new, *([str(fault)] if fault else [])))
         print(f"inspection: {call.program.inspect(told, steps, folder, found)}")
     if fault is not None:
         raise fault

@@ -114,7 +114,7 @@ def _seen(camera: Camera, train: Path, folder: Path, name: str) -> _Seen | None:
     rays = camera.rays()
     place = camera.centre + rays * (surface.depth / (rays @ camera.world_to_camera[2, :3]))[..., None]
     shown = (surface.alpha > INSIDE) & np.isfinite(place).all(-1) & np.isfinite(radiance)
-    return _Seen(camera, shown, surface.normal, surface.depth, place, radiance)
+    return _Seen(camera, shown, surface.normal.astype(float), surface.depth.astype(float), place, radiance.astype(float))
 
 
 def places_of(views: Sequence[_Seen], rng: np.random.Generator) -> Places | None:

@@ -188,14 +188,14 @@ def check_masks(masks: Mapping[str, Path], size_of: Callable[[str], tuple[int, i
 
 
 def polariser_priors(cameras: Iterable[str], config: CaptureConfig) -> dict[str, PolariserPrior]:
-    """What capture.toml tells of each physical camera's polariser; nothing told: angle unknown, to be optimised."""
+    """What capture.toml states of each physical camera's polariser; nothing stated: angle unknown, to be optimised."""
     out = {}
     for name in sorted(set(cameras)):
-        told = config.polarisers.get(name)
-        if told is None:
+        stated = config.polarisers.get(name)
+        if stated is None:
             out[name] = PolariserPrior()
         else:
-            out[name] = PolariserPrior(told.angle_deg, told.trusted and told.angle_deg is not None, told.extinction)
+            out[name] = PolariserPrior(stated.angle_deg, stated.trusted and stated.angle_deg is not None, stated.extinction)
     return out
 
 
