@@ -11,6 +11,7 @@ from pipeline.engine.changes import State
 from pipeline.engine.cli import Program
 from pipeline.engine.cli import main as run_command
 from pipeline.engine.plan import Step
+from pipeline.errors import UserError
 from stages import STAGES
 
 
@@ -21,6 +22,15 @@ def inspect(capture: Capture, steps: Sequence[Step], folder: Path, found: Mappin
 
     running = {step.stage.name for step in steps if step.decision.run}
     return write_inspection(capture, steps, folder, found, disk_estimate(capture, running))
+
+
+def look(
+    capture: Capture, steps: Sequence[Step], found: Mapping[str, State], megapixels: float
+) -> tuple[Sequence[str], UserError | None]:
+    """What a run would warn of, and the fault that would end it, found by reading about so many million pixels."""
+    from stages.early_look import look as look_at
+
+    return look_at(capture, steps, found, megapixels)
 
 
 def compare(paths: Sequence[Path], output: Path) -> Path:
@@ -37,7 +47,7 @@ def run_tradeoff(capture: Path, dataset: Path, params: str, envs: str, say: Call
     return run(capture, dataset, params, envs, say)
 
 
-PROGRAM = Program(STAGES, module="stages", report="metrics", inspect=inspect, compare=compare, tradeoff=run_tradeoff)
+PROGRAM = Program(STAGES, module="stages", report="metrics", inspect=inspect, compare=compare, tradeoff=run_tradeoff, look=look)
 
 
 def main() -> None:

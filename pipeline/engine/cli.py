@@ -9,7 +9,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from pipeline.capture import Capture
@@ -17,6 +17,7 @@ from pipeline.engine.arguments import parse
 from pipeline.engine.changes import State, expected_warnings, keep_hint, outlook, plan_text, stale_after, states
 from pipeline.engine.dataset import Dataset, digest_json
 from pipeline.engine.device import device_of, refuse_missing_cuda
+from pipeline.engine.early import Look, look_early, say_warnings
 from pipeline.engine.gc import collect
 from pipeline.engine.interrupts import Interrupted, in_child, interruptible, wait_for
 from pipeline.engine.places import open_places, refuse_another_capture
@@ -36,12 +37,8 @@ from pipeline.errors import UserError, line_of
 
 Inspect = Callable[[Capture, Sequence[Step], Path, Mapping[str, State]], Path]
 """Write what was understood of a capture to a folder, with a plan and how its steps stand; returns the page's path."""
-
-
 Compare = Callable[[Sequence[Path], Path], Path]
 """Write a page that shows results side by side into a folder; returns its path."""
-
-
 Tradeoff = Callable[[Path, Path, str, str, Callable[[str], None]], Path]
 """Try a capture (first) with other parameters beside its dataset, given PARAMS and ENVS; returns the page's path."""
 
@@ -52,7 +49,7 @@ class Program:
 
     `modules`: each stage's module by its name, in running order. `module`: `python -m MODULE STAGE ...` runs one stage in
     a process of its own. `report`: the stage whose output the report is. `inspect` writes the page of `inspect`,
-    `compare` that of `compare`, `tradeoff` tries out other parameters.
+    `compare` that of `compare`, `tradeoff` tries out other parameters, `look` tells what a run would warn of.
     """
 
     modules: Mapping[str, str]
@@ -61,6 +58,7 @@ class Program:
     inspect: Inspect
     compare: Compare | None = None
     tradeoff: Tradeoff | None = None
+    look: Look | None = None
 
 
 @dataclass(frozen=True)
@@ -148,14 +146,18 @@ def _show(call: Call) -> int:
     print(f"{call.capture.root.name}: {call.capture.layout}\n{plan_text(steps, found)}\n{outlook(found)}")
     if hint := keep_hint(call.last, call.settings, found, call.stages, call.command not in call.stages):
         print(hint)
-    for warning in expected_warnings(call.capture.warnings, call.dataset, found):
-        print(f"warning: {warning}")
+    warnings = expected_warnings(call.capture.warnings, call.dataset, found)
+    say_warnings(warnings)
     for step in steps:
         if not found[step.stage.name].ready:
             step.stage.check(call.capture)
+    new, fault = look_early(call.program.look, call.capture, steps, found, call.command, warnings)
     if call.command == "inspect":
         folder = call.dataset.root.with_name(call.dataset.root.name + "-inspect")
-        print(f"inspection: {call.program.inspect(call.capture, steps, folder, found)}")
+        told = replace(call.capture, warnings=(*call.capture.warnings, *new, *([str(fault)] if fault else [])))
+        print(f"inspection: {call.program.inspect(told, steps, folder, found)}")
+    if fault is not None:
+        raise fault
     return 0
 
 

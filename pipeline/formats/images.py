@@ -12,7 +12,7 @@ import numpy as np
 
 from pipeline.errors import UserError
 from pipeline.formats.exr_frame import ExrFrame, exr_frame
-from pipeline.formats.truncation import refuse_truncated
+from pipeline.formats.truncation import refuse_garbled_name, refuse_truncated
 
 if TYPE_CHECKING:
     from pipeline.formats.image_parts import Page
@@ -55,6 +55,7 @@ def open_whole(path: Path, unassociated: bool = False) -> Any:
 
     if not path.is_file():
         raise UserError(path, "no such image", "check the path and the name")
+    refuse_garbled_name(path)
     if path.stat().st_size == 0:
         raise UserError(path, "the file is empty (0 bytes)", "copy it again from its source")
     if path.suffix.lower() == ".png":

@@ -22,6 +22,14 @@ def needed(capture: Capture, parameters: RelightParameters) -> Decision:
     return Decision(True, f"{maps} to light the model with")
 
 
+def check(capture: Capture) -> None:
+    """Raise UserError where a map cannot be used."""
+    from .environment_map import read_map
+
+    for path in capture.environments:
+        read_map(path)
+
+
 def run(run: StageRun) -> None:
     """Write ENV/VIEW.exr (or ENV/camNN.exr and ENV/camNN_olat.exr) for every map."""
     if run.capture.kind == "light_stage":
@@ -41,6 +49,7 @@ STAGE = Stage(
     needs=("decode", "poses", "masks", "olat", "train", "mesh"),
     needed=needed,
     run=run,
+    check=check,
     config=("up", "olat"),
     environments=True,
 )
