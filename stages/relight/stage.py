@@ -5,6 +5,7 @@ from __future__ import annotations
 from pipeline.capture import Capture
 from pipeline.capture.view_rules import too_few_views
 from pipeline.engine.stage import Decision, Stage, StageRun
+from pipeline.environments import NO_MAPS, shipped_map
 
 from .parameters import RelightParameters
 
@@ -13,13 +14,20 @@ def needed(capture: Capture, parameters: RelightParameters) -> Decision:
     """Where there are maps, and something that can be lit."""
     if capture.kind != "light_stage" and (few := too_few_views(capture)):
         return Decision(False, few)
-    count = len(capture.environments)
-    if not count:
-        return Decision(False, "no environment maps: none in envmaps/, none in ENVS=")
-    maps = f"{count} environment map" + ("s" if count > 1 else "")
+    if not capture.environments:
+        return Decision(False, f"no environment maps: none in envmaps/, and ENVS={NO_MAPS}")
+    maps = _counted(capture)
     if capture.kind == "light_stage":
         return Decision(True, f"{maps}: summed from the frames and rendered from the fitted maps")
     return Decision(True, f"{maps} to light the model with")
+
+
+def _counted(capture: Capture) -> str:
+    """How many maps there are, and which of them come with the program."""
+    count = len(capture.environments)
+    ours = [path.stem for path in capture.environments if path == shipped_map(path.stem)]
+    maps = f"{count} environment map" + ("s" if count > 1 else "")
+    return maps + (f" ({', '.join(ours)} of the program's own)" if ours else "")
 
 
 def run(run: StageRun) -> None:
