@@ -16,6 +16,9 @@ from pipeline.geometry.cameras import Camera, camera_from_frame
 from pipeline.rig.relighting import relight_frames, relight_maps, relighting_error
 
 from .environment_map import read_map
+from .given_files import given_file
+from .light_samples import as_map
+from .lights_file import read_lights
 
 
 def relight_stage(run: StageRun) -> None:
@@ -28,6 +31,8 @@ def relight_stage(run: StageRun) -> None:
     config = run.capture.config.olat
     names = sorted(index["cameras"])
     lights = {environment_name(path): _light(run, path) for path in run.environments}
+    if (placed := given_file(run.capture, run.parameters.lights, "relight.lights")) is not None:
+        lights[environment_name(placed)] = as_map(read_lights(placed), np.zeros(3), run.capture.up)
     with run.progress.bar("relighting", total=len(lights) * len(names), unit="images") as bar:
         for name in names:
             mask = _mask(run, name)

@@ -16,10 +16,15 @@ from pipeline.formats import dataset_files as files
 from pipeline.formats.backdrop import grown
 from pipeline.formats.gbuffer import read_gbuffer
 from pipeline.formats.images import read_mask, srgb_encode, write_png, write_stokes
-from pipeline.geometry.cameras import Camera, load_cameras
+from pipeline.geometry.cameras import Camera, load_cameras, world_offset
 
 from .deferred import Lamp, ShadingModel, Surface
 from .environment_map import read_map
+from .given_files import given_file
+from .lighting import Lighting, MapLighting
+from .lights_file import moved, read_lights
+from .placed_lights import PlacedLighting
+from .turntable import write_moving_pictures
 
 if TYPE_CHECKING:
     from .mesh_shadows import SelfOcclusion
@@ -64,7 +69,7 @@ def read_view(path: Path, camera: Camera, mask: Path | None) -> ViewPixels:
 
 
 def relight_views(run: StageRun) -> None:
-    """Write ENV/VIEW.exr and .png for every view and map, and turntables when asked.
+    """Write ENV/VIEW.exr and .png for every view and map, and moving pictures when asked.
 
     Views are the outer loop: a view's G-buffer is read, and its rays are cast, once for all maps.
     """
@@ -76,27 +81,23 @@ def relight_views(run: StageRun) -> None:
     if not paths:
         raise UserError(train / files.GBUFFERS, "there are no G-buffers", "run the train stage again")
     model = ShadingModel.read(train / files.LIGHTING, run.capture.up, p.mirror)
-    lamps = {environment_name(path): _lamp(run, path, model) for path in run.environments}
     occluder = _occluder(run, model)
-    lit = {name: occluder.under(lamp) for name, lamp in lamps.items()} if occluder else {}
+    lights: dict[str, Lighting] = {environment_name(q): MapLighting(_lamp(run, q, model), occluder) for q in run.environments}
+    if (placed := given_file(run.capture, p.lights, "relight.lights")) is not None:
+        standing = moved(read_lights(placed), world_offset(run.inputs["poses"] / files.CAMERAS))
+        lights[environment_name(placed)] = PlacedLighting(standing, model, occluder)
     masks = run.inputs.get("masks")
-    with run.progress.bar("relighting", total=len(lamps) * len(paths), unit="images") as bar:
+    with run.progress.bar("relighting", total=len(lights) * len(paths), unit="images") as bar:
         for view, gbuffer in paths.items():
             pixels = read_view(gbuffer, cameras[view], files.mask(masks, view) if masks else None)
             attachment = occluder.attach(pixels.surface, p.shadow_rays == "pixel") if occluder else None
-            for name, lamp in lamps.items():
-                occlusion = occluder.at(attachment, lit[name]) if occluder and attachment else None
-                stokes = pixels.image(lamp.stokes(pixels.surface, occlusion))
+            for name, lighting in lights.items():
+                stokes = pixels.image(lighting.of_view(pixels.surface, attachment))
                 write_stokes(files.relit(run.output / name, view), stokes)
                 if p.previews:
                     write_png(run.output / name / f"{view}.png", srgb_encode(stokes[:, :, 0]))
                 bar.advance(1)
-    if p.turntable:
-        from .turntable import write_turntable
-
-        for name, lamp in lamps.items():
-            received = occluder.on_mesh(lit[name]) if occluder else None
-            write_turntable(run, lamp, cameras, run.output / name, received)
+    write_moving_pictures(run, cameras, lights, given_file(run.capture, p.cameras, "relight.cameras"))
 
 
 def _lamp(run: StageRun, path: Path, model: ShadingModel) -> Lamp:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -139,13 +140,19 @@ def test_self_occlusion_darkens_the_bowl_and_brightens_nothing_by_much(relit):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("occlusion", [False, True])
-def test_turntable_shows_the_mesh_all_around(relit, occlusion):
-    run = relit(occlusion=occlusion, turntable=3, turntable_size=48)
+def test_turntable_and_camera_path_show_the_mesh(relit, occlusion):
+    run = relit(occlusion=occlusion, turntable=3, turntable_size=48, cameras="poses/cameras.json")
     frames = [read_image(run.output / "sky" / "turntable" / f"{k:03d}.png") for k in range(3)]
     shown = [(f.max(-1) > 0).mean() for f in frames]
     assert 0.08 < min(shown) <= max(shown) < 0.8
     assert np.abs(frames[0] - frames[1]).max() > 0.1
     assert (run.output / "sky" / "turntable.webp").stat().st_size > 100
+    assert run.facts["turntable"]["mp4"] == (run.output / "sky" / "turntable.mp4").is_file() == bool(shutil.which("ffmpeg"))
+    for k, view in enumerate(("v0", "v1")):  # the capture's own cameras: nearly the views themselves
+        seen = read_stokes(run.output / "sky" / "path" / f"{k:03d}.exr")
+        view_image = read_stokes(run.output / "sky" / f"{view}.exr")
+        assert np.abs(seen - view_image).mean() < 0.05 * view_image[:, :, 0].mean()
+    assert (run.output / "sky" / "path.webp").stat().st_size > 100
 
 
 def test_map_of_another_projection_is_refused(tmp_path):
