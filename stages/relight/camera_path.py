@@ -33,14 +33,11 @@ def read_camera_path(path: Path) -> CameraPath:
     table = read_json(path)
     if not isinstance(table, dict):
         raise UserError(path, "is no table of cameras", REMEDY)
-    if isinstance(table.get("camera_path"), list):
-        frames, shared = _nerfstudio_path(table, path), table
-    else:
-        frames, shared = table.get("frames"), table
+    frames: Any = _nerfstudio_path(table, path) if isinstance(table.get("camera_path"), list) else table.get("frames")
     if not isinstance(frames, list) or not frames or not all(isinstance(f, dict) for f in frames):
         raise UserError(path, "holds no cameras", REMEDY)
     offset = _offset(table, path)
-    cameras = [less(camera_from_frame(frame, shared, path), -offset) for frame in frames]
+    cameras = [less(camera_from_frame(frame, table, path), -offset) for frame in frames]
     for k, camera in enumerate(cameras):
         if not camera.is_pinhole:
             raise UserError(path, f"frame {k} has a lens that bends lines", "give a pinhole: relit images have none")
