@@ -54,10 +54,21 @@ class BakedMesh:
         self._rays = RayMesh(self.vertices, self._faces)
 
     def seen_by(self, camera: Camera) -> MeshPixels:
-        """What a camera sees, SUPERSAMPLE x SUPERSAMPLE rays a pixel."""
+        """What a camera sees, SUPERSAMPLE x SUPERSAMPLE rays a pixel, row by row of the finer image."""
         fine = camera.resized(camera.width * SUPERSAMPLE, camera.height * SUPERSAMPLE)
-        rays = fine.rays().reshape(-1, 3)
-        frame_x, frame_y = (f.reshape(-1, 3) for f in fine.stokes_frame())
+        return self._met(camera, fine, np.arange(fine.width * fine.height))
+
+    def seen_at(self, camera: Camera, pixels: NDArray[np.int64], side: int) -> MeshPixels:
+        """What some pixels, flat indices [U], of a camera show, side x side rays each, one pixel's after the other's."""
+        fine = camera.resized(camera.width * side, camera.height * side)
+        row, column = np.divmod(pixels, camera.width)
+        down, across = np.divmod(np.arange(side * side), side)
+        index = (row[:, None] * side + down) * fine.width + column[:, None] * side + across
+        return self._met(camera, fine, index.ravel())
+
+    def _met(self, camera: Camera, fine: Camera, index: NDArray[np.int64]) -> MeshPixels:
+        rays = fine.rays().reshape(-1, 3)[index]
+        frame_x, frame_y = (f.reshape(-1, 3)[index] for f in fine.stokes_frame())
         found = self._rays.cast(fine.centre, rays)
         hit = found.hit
         corners, weights = self._faces[found.triangle[hit]], found.weights[hit]

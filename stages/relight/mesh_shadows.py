@@ -59,7 +59,7 @@ class SelfOcclusion:
         """Light at the mesh's vertices that receive [V, 3] (`sampled_light.received`) from lamps that are no map."""
         return self._transfer.lit(received)
 
-    def starts(self, position: NDArray, normal: NDArray) -> NDArray[np.float32]:
+    def starts(self, position: NDArray, normal: NDArray) -> NDArray:
         """Where shadow rays of points [P, 3] with unit normals [P, 3] begin: on the mesh, lifted off it."""
         return self._on_mesh(position @ self._turn.T) + self._transfer.occluder.lift * (normal @ self._turn.T)
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.engine.stage import StageRun
-from pipeline.formats.dataset_files import CAMERAS, MESH, PATH, TURNTABLE
+from pipeline.formats.dataset_files import CAMERAS, PATH, TURNTABLE
 from pipeline.formats.images import srgb_encode, write_png, write_stokes
 from pipeline.geometry.cameras import Camera, world_offset
 
@@ -23,7 +23,11 @@ TURNTABLE_RATE = 1000 / 60  # frames a second: a turn of 48 takes three
 
 
 def write_moving_pictures(
-    run: StageRun, cameras: Mapping[str, Camera], lights: Mapping[str, Lighting], path: Path | None
+    run: StageRun,
+    cameras: Mapping[str, Camera],
+    lights: Mapping[str, Lighting],
+    mesh: BakedMesh | None,
+    path: Path | None,
 ) -> None:
     """What `turntable` and `cameras` ask for: ENV/turntable/NNN.png, ENV/path/NNN.exr and .png, and both as .webp and .mp4.
 
@@ -32,10 +36,9 @@ def write_moving_pictures(
     p = run.parameters
     if not p.turntable and path is None:
         return
-    if "mesh" not in run.inputs:
+    if mesh is None:
         run.warn("there is no mesh, so no turntable and no camera path; check that the mesh stage ran")
         return
-    mesh = BakedMesh(run.inputs["mesh"] / MESH)
     if p.turntable:
         around = orbit(cameras, mesh.vertices, run.capture.up, p.turntable, p.turntable_size)
         _write(run, mesh, around, lights, TURNTABLE, TURNTABLE_RATE, stokes=False)
