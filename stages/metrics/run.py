@@ -59,7 +59,7 @@ def figures(run: StageRun) -> dict[str, Table]:
             elif capture.kind == "light_stage":
                 tables[name] = light_stage_table(inputs["relight"], masks)
             else:
-                tables[name] = relight_table(inputs["relight"], truth)
+                tables[name] = relight_table(inputs["relight"], masks, truth)
             bar.advance(1)
     return tables
 
