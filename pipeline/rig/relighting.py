@@ -48,7 +48,7 @@ def relight_olat(
     entry = index["cameras"][camera]
     lights = index["lights"]
     weights = irradiance_per_light(env_latlong, np.array(lights["directions"]), up)
-    weights /= irradiance * np.array(lights["intensity"])[:, None]
+    weights /= irradiance * np.array(lights["intensity"])[:, None] * np.array(lights.get("colour", [[1.0, 1.0, 1.0]]))
     decode = Path(olat_index).parent if isinstance(olat_index, str | Path) else Path(decode_folder or capture_root)
     root = frames_root(index, Path(capture_root), decode)
     out = np.zeros((int(entry["height"]), int(entry["width"]), 3))
@@ -62,6 +62,7 @@ def relight_olat(
             block = pairs[start : start + 2 * READERS]
             for k, (cross, parallel) in enumerate(pool.map(both, block), start):
                 total = (2.0 - specular_factor) * cross + specular_factor * parallel  # I_d + I_s
+                total *= 0.5 if entry.get("passes") == "none" else 1.0  # no polariser took half of it
                 out += total * weights[k]
     if mask is not None:
         out *= mask[..., None]
