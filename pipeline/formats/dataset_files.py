@@ -19,6 +19,8 @@ LIGHTING = "lighting.json"
 TRAIN_LOG = "train_log.csv"
 FITTED_LOBE = "maps.json"
 TURNTABLE = "turntable.webp"
+DISAGREEMENT = "disagreement"
+"""Folder of the mesh stage: how far each light-stage camera is from what all of them together say."""
 SUMMED, ERROR = "_olat", "_error"
 """Endings of a light-stage camera's relit images: the sum of its frames, and how far its maps are from that."""
 
