@@ -20,6 +20,8 @@ TRAIN_LOG = "train_log.csv"
 FITTED_LOBE = "maps.json"
 TURNTABLE, PATH = "turntable", "path"
 """Folders of an environment's frames around the mesh and along given cameras; beside each its .webp and .mp4."""
+DISAGREEMENT = "disagreement"
+"""Folder of the mesh stage: how far each light-stage camera is from what all of them together say."""
 SUMMED, ERROR = "_olat", "_error"
 """Endings of a light-stage camera's relit images: the sum of its frames, and how far its maps are from that."""
 

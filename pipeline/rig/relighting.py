@@ -69,9 +69,9 @@ def relight_frames(
     index = json.loads(Path(olat_index).read_text()) if isinstance(olat_index, str | Path) else olat_index
     entry = index["cameras"][camera]
     lights = index["lights"]
-    directions = np.array(lights["directions"])
+    directions, colour = np.array(lights["directions"]), np.array(lights.get("colour", [[1.0, 1.0, 1.0]]))
     weights = np.stack([irradiance_per_light(light, directions, up) for light in maps])  # [N, lights, 3]
-    weights /= irradiance * np.array(lights["intensity"])[:, None]
+    weights /= irradiance * np.array(lights["intensity"])[:, None] * colour
     decode = Path(olat_index).parent if isinstance(olat_index, str | Path) else Path(decode_folder or capture_root)
     root = frames_root(index, Path(capture_root), decode)
     out = np.zeros((len(maps), int(entry["height"]), int(entry["width"]), 3))
@@ -85,6 +85,7 @@ def relight_frames(
             block = pairs[start : start + 2 * READERS]
             for k, (cross, parallel) in enumerate(pool.map(both, block), start):
                 total = (2.0 - specular_factor) * cross + specular_factor * parallel  # I_d + I_s
+                total *= 0.5 if entry.get("passes") == "none" else 1.0  # no polariser took half of it
                 for image, weight in zip(out, weights[:, k]):
                     image += total * weight
     if mask is not None:

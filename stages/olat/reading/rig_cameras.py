@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.capture.model import Passes
 from pipeline.capture.naming.files import some
 from pipeline.engine.stage import StageRun
 from pipeline.errors import UserError
@@ -27,7 +28,8 @@ PILOT = 150  # pixels on which the lobe is chosen: its share of them is known to
 
 @dataclass(frozen=True)
 class CameraJob:
-    """One camera's frames in the order of the lights, its pose, its mask and its bands; half: the frames are half floats."""
+    """One camera's frames in the order of the lights, its pose, its mask and its bands; half: the frames are half floats;
+    passes: which it has (of one alone both lists are the same)."""
 
     name: str
     cross: list[Path]
@@ -36,6 +38,7 @@ class CameraJob:
     mask: NDArray[np.bool_]
     half: bool
     bands: list[Band]
+    passes: Passes = "both"
 
 
 def decoded(stage: StageRun) -> dict[str, Any]:
@@ -51,7 +54,8 @@ def light_rig(index: dict[str, Any], step: int = 1) -> LightTable:
     intensity = np.array(table["intensity"])[::step]
     given = table.get("solid_angle")
     area = np.array(given) if given is not None and step == 1 else solid_angles(directions)
-    return LightTable(directions, positions, intensity, area)
+    colour = np.array(table["colour"])[::step] if "colour" in table else None
+    return LightTable(directions, positions, intensity, area, colour=colour)
 
 
 def camera_jobs(stage: StageRun) -> list[CameraJob]:
@@ -91,7 +95,7 @@ def _job(stage: StageRun, name: str, entry: dict[str, Any], frames: Path) -> Cam
     cross, parallel = ([frames / p for p in entry[key]][::step] for key in ("cross", "parallel"))
     half = all(is_half(path) for path in (cross[0], parallel[0]))
     bands = bands_of(mask, len(cross), parameters.band_mb, 2 if half else 4)
-    return CameraJob(name, cross, parallel, camera, mask, half, bands)
+    return CameraJob(name, cross, parallel, camera, mask, half, bands, entry.get("passes", "both"))
 
 
 def middle_chunk(job: CameraJob) -> Band:
