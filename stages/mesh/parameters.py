@@ -21,6 +21,12 @@ class MeshParameters:
         metadata={"help": "relief smaller than this follows the rendered normals instead of the depths, 0: none (edges)"},
     )
     component_pct: float = field(default=2.0, metadata={"help": "smaller pieces than this go (percent of the largest's area)"})
+    decimate: float = field(
+        default=0.5,
+        metadata={
+            "help": "triangles go as long as the surface, and so every outline, moves by less than this; 0: none go (px)"
+        },
+    )
     fill_holes: bool = field(default=True, metadata={"help": "close holes that no view sees into (such as the underside)"})
     poisson: bool = field(default=False, metadata={"help": "also write mesh_poisson.ply, a closed surface"})
     poisson_depth: int = field(default=8, metadata={"help": "octree depth of the Poisson surface (levels)"})
@@ -34,5 +40,7 @@ class MeshParameters:
             raise ValueError("truncation_voxels must lie between 1.5 and 50")
         if not 0 <= self.follow_normals <= 100:
             raise ValueError("follow_normals must lie between 0 and 100")
+        if not 0 <= self.decimate <= 100:
+            raise ValueError("decimate must lie between 0 and 100")
         if not 4 <= self.poisson_depth <= 12:
             raise ValueError("poisson_depth must lie between 4 and 12")

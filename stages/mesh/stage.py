@@ -25,4 +25,4 @@ def run(run: StageRun) -> None:
     make_mesh(run)
 
 
-STAGE = Stage("mesh", 2, MeshParameters, ("poses", "train"), needed, run)
+STAGE = Stage("mesh", 3, MeshParameters, ("poses", "train"), needed, run)
