@@ -28,6 +28,9 @@ class MeshParameters:
         },
     )
     fill_holes: bool = field(default=True, metadata={"help": "close holes that no view sees into (such as the underside)"})
+    textures: bool = field(default=True, metadata={"help": "also write asset/: textures, and files that other programs open"})
+    texel_px: float = field(default=1.0, metadata={"help": "side of a texel, in pixel footprints on the object (px)"})
+    max_texture: int = field(default=8192, metadata={"help": "side of the largest texture (texels)"})
     poisson: bool = field(default=False, metadata={"help": "also write mesh_poisson.ply, a closed surface"})
     poisson_depth: int = field(default=8, metadata={"help": "octree depth of the Poisson surface (levels)"})
 
@@ -42,5 +45,9 @@ class MeshParameters:
             raise ValueError("follow_normals must lie between 0 and 100")
         if not 0 <= self.decimate <= 100:
             raise ValueError("decimate must lie between 0 and 100")
+        if not 0.1 <= self.texel_px <= 100:
+            raise ValueError("texel_px must lie between 0.1 and 100")
+        if not 64 <= self.max_texture <= 16384:
+            raise ValueError("max_texture must lie between 64 and 16384")
         if not 4 <= self.poisson_depth <= 12:
             raise ValueError("poisson_depth must lie between 4 and 12")

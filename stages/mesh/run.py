@@ -21,6 +21,7 @@ from .fusion import Extent, Volume, measure
 from .gbuffer import Views
 from .outline import outline_gap
 from .refine import following_normals
+from .textures import write_textured
 
 ROUNDS = 2  # of matching outlines: the second corrects the first by a few percent of it
 MOST_OUTWARD = 0.5  # of the truncation, where the field is still a distance
@@ -53,6 +54,8 @@ def make_mesh(run: StageRun) -> None:
     run.note("holes_filled", holes)
     for name, value in asdict(topology(mesh.vertices, mesh.faces)).items():
         run.note(name, value)
+    if p.textures:
+        write_textured(run, mesh, views, extent.footprint)
     if p.poisson:
         _write_poisson(run, mesh, views, voxel)
 

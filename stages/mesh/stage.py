@@ -19,10 +19,10 @@ def needed(capture: Capture, parameters: MeshParameters) -> Decision:
 
 
 def run(run: StageRun) -> None:
-    """Write mesh.ply (and mesh_poisson.ply when asked)."""
+    """Write mesh.ply and asset/ (and mesh_poisson.ply when asked)."""
     from .run import make_mesh
 
     make_mesh(run)
 
 
-STAGE = Stage("mesh", 3, MeshParameters, ("poses", "train"), needed, run)
+STAGE = Stage("mesh", 3, MeshParameters, ("decode", "poses", "train"), needed, run, config=("up", "unit_m"))
