@@ -8,11 +8,12 @@ from pathlib import Path
 
 from pipeline.capture import Capture
 from pipeline.engine.changes import State
-from pipeline.engine.cli import Program
 from pipeline.engine.cli import main as run_command
+from pipeline.engine.dataset import Dataset
 from pipeline.engine.plan import Step
+from pipeline.engine.program import Program
 from pipeline.errors import UserError
-from stages import STAGES
+from stages import FORMATS, STAGES
 
 
 def inspect(capture: Capture, steps: Sequence[Step], folder: Path, found: Mapping[str, State]) -> Path:
@@ -47,7 +48,17 @@ def run_tradeoff(capture: Path, dataset: Path, params: str, envs: str, say: Call
     return run(capture, dataset, params, envs, say)
 
 
-PROGRAM = Program(STAGES, module="stages", report="metrics", inspect=inspect, compare=compare, tradeoff=run_tradeoff, look=look)
+def export(dataset: Dataset, to: str, output: str) -> Path:
+    """Copy results of a dataset in a format of `FORMATS`; returns the folder. Raises UserError."""
+    from stages.exporting import export as write_export
+
+    return write_export(dataset, to, output)
+
+
+PROGRAM = Program(
+    STAGES, module="stages", report="metrics", inspect=inspect, compare=compare, tradeoff=run_tradeoff,
+    look=look, export=export, formats=FORMATS,
+)  # fmt: skip
 
 
 def main() -> None:

@@ -8,7 +8,7 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -17,11 +17,12 @@ from pipeline.engine.arguments import parse
 from pipeline.engine.changes import State, expected_warnings, keep_hint, outlook, plan_text, stale_after, states
 from pipeline.engine.dataset import Dataset, digest_json
 from pipeline.engine.device import device_of, refuse_missing_cuda
-from pipeline.engine.early import Look, look_early, say_warnings
+from pipeline.engine.early import look_early, say_warnings
 from pipeline.engine.gc import collect
 from pipeline.engine.interrupts import Interrupted, in_child, interruptible, wait_for
-from pipeline.engine.places import open_places, refuse_another_capture
+from pipeline.engine.places import existing_dataset, open_places, refuse_another_capture
 from pipeline.engine.plan import Step, load_stages, make_plan, plan_as_json
+from pipeline.engine.program import Program
 from pipeline.engine.progress import Progress
 from pipeline.engine.settings import (
     Settings,
@@ -34,31 +35,6 @@ from pipeline.engine.settings import (
 from pipeline.engine.stage import Stage
 from pipeline.engine.verify import verify
 from pipeline.errors import UserError, line_of
-
-Inspect = Callable[[Capture, Sequence[Step], Path, Mapping[str, State]], Path]
-"""Write what was understood of a capture to a folder, with a plan and how its steps stand; returns the page's path."""
-Compare = Callable[[Sequence[Path], Path], Path]
-"""Write a page that shows results side by side into a folder; returns its path."""
-Tradeoff = Callable[[Path, Path, str, str, Callable[[str], None]], Path]
-"""Try a capture (first) with other parameters beside its dataset, given PARAMS and ENVS; returns the page's path."""
-
-
-@dataclass(frozen=True)
-class Program:
-    """What a command line runs: this file knows no stage.
-
-    `modules`: each stage's module by its name, in running order. `module`: `python -m MODULE STAGE ...` runs one stage in
-    a process of its own. `report`: the stage whose output the report is. `inspect` writes the page of `inspect`,
-    `compare` that of `compare`, `tradeoff` tries out other parameters, `look` tells what a run would warn of.
-    """
-
-    modules: Mapping[str, str]
-    module: str
-    report: str
-    inspect: Inspect
-    compare: Compare | None = None
-    tradeoff: Tradeoff | None = None
-    look: Look | None = None
 
 
 @dataclass(frozen=True)
@@ -101,9 +77,13 @@ def main(program: Program, arguments: Sequence[str]) -> int:
 
 def _run(program: Program, arguments: Sequence[str]) -> int:
     stages = load_stages(program.modules)
-    options = parse(stages, arguments)
+    options = parse(stages, arguments, program.formats)
     if options.command == "compare" and program.compare is not None:
         print(f"comparison: {program.compare([Path(p) for p in options.datasets], Path(options.out))}")
+        return 0
+    if options.command == "export" and program.export is not None:
+        dataset = existing_dataset(options.capture, options.dataset, "export")
+        print(f"exported: {program.export(dataset, options.to, options.out)}")
         return 0
     if options.command in ("gc", "verify"):
         return {"gc": collect, "verify": verify}[options.command](options, stages)

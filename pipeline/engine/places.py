@@ -30,7 +30,8 @@ def open_places(capture: str, dataset: str, command: str) -> tuple[Capture, Data
 def existing_dataset(capture: str, dataset: str, command: str = "gc") -> Dataset:
     """The dataset of a call that reads no capture. Raises UserError where there is none."""
     if not capture and not dataset:
-        raise UserError("DATASET", "no dataset was given", f"as in `make {command} DATASET=folder`")
+        call = f"make {command} DATASET=folder" if command in ("gc", "verify") else f"polarfield {command} --dataset=folder"
+        raise UserError("DATASET", "no dataset was given", f"as in `{call}`")
     found = Dataset(Path(dataset) if dataset else Path("datasets") / Path(capture).absolute().name)
     if not found.exists:
         fault = "is not a dataset (it has no dataset.json)" if found.root.is_dir() else "no such dataset"

@@ -183,14 +183,15 @@ def write_rgb(path: str | Path, rgb: np.ndarray) -> None:
     _write(Path(path), np.ascontiguousarray(rgb, np.float32), "float", list(RGB), {"compression": EXR_COMPRESSION})
 
 
-def write_png(path: str | Path, pixels: np.ndarray) -> None:
-    """Write an 8-bit PNG from uint8, or from display-encoded floats in 0..1 ([H, W], [H, W, 1|3|4])."""
-    if pixels.dtype != np.uint8:
-        pixels = (np.clip(np.nan_to_num(pixels), 0, 1) * 255 + 0.5).astype(np.uint8)
+def write_png(path: str | Path, pixels: np.ndarray, bits: int = 8) -> None:
+    """Write a PNG of 8 or 16 bits from integers of as many, or from floats in 0..1 ([H, W], [H, W, 1|3|4])."""
+    kind = f"uint{bits}"
+    if pixels.dtype != kind:
+        pixels = (np.clip(np.nan_to_num(pixels), 0, 1) * (2**bits - 1) + 0.5).astype(kind)
     if pixels.ndim == 2:
         pixels = pixels[..., None]
     names = {1: ["Y"], 3: ["R", "G", "B"], 4: ["R", "G", "B", "A"]}[pixels.shape[2]]
-    _write(Path(path), np.ascontiguousarray(pixels), "uint8", names, {"oiio:UnassociatedAlpha": 1})
+    _write(Path(path), np.ascontiguousarray(pixels), kind, names, {"oiio:UnassociatedAlpha": 1})
 
 
 def _write(path: Path, pixels: np.ndarray, kind: str, names: list[str], attributes: dict[str, str | int]) -> None:

@@ -24,7 +24,7 @@ def needed(capture: Capture, parameters: MeshParameters) -> Decision:
 
 
 def run(run: StageRun) -> None:
-    """Write mesh.ply (and mesh_poisson.ply when asked)."""
+    """Write mesh.ply and asset/ (and mesh_poisson.ply when asked)."""
     if run.capture.kind == "light_stage":
         from .rig_object import make_rig_mesh
 
@@ -35,4 +35,4 @@ def run(run: StageRun) -> None:
     make_mesh(run)
 
 
-STAGE = Stage("mesh", 2, MeshParameters, ("decode", "poses", "masks", "olat", "train"), needed, run)
+STAGE = Stage("mesh", 3, MeshParameters, ("decode", "poses", "masks", "olat", "train"), needed, run, config=("up", "unit_m"))
