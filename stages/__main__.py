@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from pipeline.capture import Capture
+from pipeline.engine.call import Program
 from pipeline.engine.changes import State
-from pipeline.engine.cli import Program
 from pipeline.engine.cli import main as run_command
 from pipeline.engine.plan import Step
 from stages import STAGES
