@@ -19,16 +19,25 @@ COMMANDS = {
     "inspect": "write a page that shows what was understood of a capture, before anything long runs",
     "report": "write the report of the results in use and say where it lies; runs no other stage",
     "verify": "read everything in use against its digests and name what is damaged or missing (then the exit status is 1)",
+    "batch": "run every stage of every capture in a folder, or of those that a list names, and write one table",
     "gc": "remove versions that nothing in use was made from, and unfinished work; lists them, and asks unless --yes is given",
 }
 SWITCHES = {
+    "batch": {"--dry-run": "tell what is done and what is left, and run nothing"},
     "gc": {"--dry-run": "list what would go, and remove nothing", "--yes": "do not ask"},
     "verify": {
         "--full": "read all files again, also those that were found whole and were not written to since",
         "--repair": "drop what is damaged, so that the next run makes exactly that again",
     },
 }
-MAKE_VARIABLES = {"--dataset": "DATASET", "--params": "PARAMS", "--envs": "ENVS", "--device": "DEVICE", "--jobs": "JOBS"}
+MAKE_VARIABLES = {
+    "--dataset": "DATASET",
+    "--params": "PARAMS",
+    "--envs": "ENVS",
+    "--device": "DEVICE",
+    "--jobs": "JOBS",
+    "--memory": "MEMORY",
+}
 DEVICES = ("auto", "cpu", "cuda")
 OTHER_NAMES = {"gpu": "cuda", "nvidia": "cuda"}  # what people write for a device
 
@@ -123,5 +132,6 @@ def _common(parser: argparse.ArgumentParser) -> None:
     add("--envs", default="", metavar="TEXT", help='more environment maps to relight under, as "a.hdr b.exr"')
     add("--device", default="auto", choices=DEVICES, help="where to train: auto, cpu or cuda [default: auto]")
     add("--jobs", type=int, default=1, help="how many independent pieces to work on side by side [default: 1]")
+    add("--memory", default="", metavar="AMOUNT", help="memory that may be taken, as 16G [default: what the machine has]")
     add("--quiet", action="store_true", help="say nothing but errors and the result")
     add("--alone", action="store_true", help=argparse.SUPPRESS)

@@ -13,13 +13,13 @@ from pipeline.engine.interrupts import in_child, wait_for
 from pipeline.errors import UserError
 
 
-def stage_command(call: Call, name: str) -> list[str]:
-    """The command line that makes one stage alone, as this call would."""
+def stage_command(call: Call, name: str, jobs: int | None = None) -> list[str]:
+    """The command line that makes one stage alone, as this call would; `jobs`: another number of pieces side by side."""
     options = call.options
     command = [sys.executable, "-m", call.program.module, name, str(call.capture.root), "--alone"]
     command += ["--dataset", str(call.dataset.root)]
     command += [f"--params={call.settings.params_text()}", f"--envs={call.settings.envs_text()}"]
-    return command + ["--device", options.device, "--jobs", str(options.jobs)] + (["--quiet"] if options.quiet else [])
+    return command + ["--device", options.device, "--jobs", str(jobs or options.jobs)] + (["--quiet"] if options.quiet else [])
 
 
 def stage_environment() -> dict[str, str]:

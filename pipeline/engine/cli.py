@@ -45,6 +45,10 @@ def _run(program: Program, arguments: Sequence[str]) -> int:
     options = parse(stages, arguments)
     if options.command in ("gc", "verify"):
         return {"gc": collect, "verify": verify}[options.command](options, stages)
+    if options.command == "batch":
+        from pipeline.engine.batch.command import batch
+
+        return batch(program, options, stages)
     call = open_call(program, options, stages)
     if options.command in ("plan", "inspect"):
         return _show(call)

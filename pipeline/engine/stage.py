@@ -38,6 +38,11 @@ def no_files(capture: Capture) -> Iterable[Path]:
     return ()
 
 
+def little_memory(capture: Capture, parameters: Any, jobs: int) -> float:
+    """For a stage that holds next to nothing: MiB of the program itself."""
+    return 150.0
+
+
 def no_check(capture: Capture) -> None:
     """For a stage whose files are checked where the capture is recognised."""
 
@@ -50,7 +55,8 @@ class Stage:
     them. `capture_files` are the capture's files that it reads itself, and `config` the `capture.toml` sections that
     it heeds: both enter its key. `check` raises UserError where it could not use its files; it is asked before any
     stage runs. `environments` says that it reads the maps to relight under, `device` that it runs on
-    the device that a call names (every other stage runs on the processor and loads nothing to find out).
+    the device that a call names (every other stage runs on the processor and loads nothing to find out). `memory` tells
+    how many MiB it will have at its peak, with so many jobs side by side.
     """
 
     name: str
@@ -64,6 +70,7 @@ class Stage:
     config: tuple[str, ...] = ()
     environments: bool = False
     device: bool = False
+    memory: Callable[[Capture, Any, int], float] = little_memory
 
 
 @dataclass
