@@ -23,13 +23,25 @@ COMMANDS = {
     "gc": "remove versions that nothing in use was made from, and unfinished work; lists them, and asks unless --yes is given",
 }
 SWITCHES = {
-    "batch": {"--dry-run": "tell what is done and what is left, and run nothing"},
+    "batch": {
+        "--dry-run": "tell what is done and what is left, and run nothing",
+        "--slurm": "submit a Slurm array, a task a capture, and a last job that writes the table",
+    },
     "gc": {"--dry-run": "list what would go, and remove nothing", "--yes": "do not ask"},
     "verify": {
         "--full": "read all files again, also those that were found whole and were not written to since",
         "--repair": "drop what is damaged, so that the next run makes exactly that again",
     },
 }
+VALUES: dict[str, dict[str, dict[str, Any]]] = {
+    "batch": {
+        "--snakemake": {"nargs": "?", "const": "", "metavar": "TEXT",
+                        "help": "run on Snakemake, given TEXT, as in --snakemake='--executor slurm'"},
+        "--sbatch": {"default": "", "metavar": "TEXT", "help": "more options of sbatch, as in --sbatch='--time=4:00:00'"},
+        "--cores": {"type": int, "default": 4, "metavar": "N", "help": "processor cores of a job on a cluster [default: 4]"},
+        "--round": {"type": int, "default": 1, "help": argparse.SUPPRESS},
+    }
+}  # fmt: skip
 MAKE_VARIABLES = {
     "--dataset": "DATASET",
     "--params": "PARAMS",
@@ -67,7 +79,7 @@ def _unknown(flag: str, command: str, stages: Mapping[str, Stage]) -> UserError:
     if owner and owner != command:
         parameter = name[2:].replace("-", "_")
         return UserError(name, f"is a parameter of {owner}, not of {command}", f'as in --params "{owner}.{parameter}=VALUE"')
-    near = nearest(name, [*own, *MAKE_VARIABLES, "--quiet", *SWITCHES.get(command, ())])
+    near = nearest(name, [*own, *MAKE_VARIABLES, "--quiet", *SWITCHES.get(command, ()), *VALUES.get(command, ())])
     return UserError(name, f"{command} has no such option", near)
 
 
@@ -107,6 +119,8 @@ def _parser(stages: Mapping[str, Stage]) -> argparse.ArgumentParser:
         _common(sub)
         for switch, meaning in SWITCHES.get(name, {}).items():
             sub.add_argument(switch, action="store_true", help=meaning)
+        for option, settings in VALUES.get(name, {}).items():
+            sub.add_argument(option, **settings)
     for name, stage in stages.items():
         text = f"run the {name} stage and what it needs; other stages keep the parameters and maps of the last run"
         sub = commands.add_parser(name, help=f"run the {name} stage and what it needs", description=text, epilog=EPILOG)

@@ -39,6 +39,8 @@ def run_stage(call: Call, name: str) -> int:
 
 
 def ended_by_signal(name: str, number: int) -> UserError:
-    """What to say of a stage that a signal ended."""
+    """What to say of a stage that a signal ended: no fault of input, so that the status is the signal's."""
     hint = "it may have run out of memory; " if number == signal.SIGKILL else ""
-    return UserError(name, f"the stage was ended by {signal.Signals(number).name}", f"{hint}the same command resumes it")
+    error = UserError(name, f"the stage was ended by {signal.Signals(number).name}", f"{hint}the same command resumes it")
+    error.status = 128 + number
+    return error

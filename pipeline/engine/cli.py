@@ -20,9 +20,11 @@ from pipeline.engine.settings import remember
 from pipeline.engine.verify import verify
 from pipeline.errors import UserError, line_of
 
+JOB_WORDS = 4  # `job PLAN ROW STAGE`: what a cluster runs of a batch's plan
+
 
 def main(program: Program, arguments: Sequence[str]) -> int:
-    """Run one command; returns the exit status: 0 done, 1 damage found, 2 a fault of input, 128 + signal interrupted."""
+    """Run one command; returns the exit status: 0 done, 1 damage found, 2 a fault of input, 128 + signal interrupted, killed."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # a file's name may be no text
@@ -33,7 +35,7 @@ def main(program: Program, arguments: Sequence[str]) -> int:
         return 0
     except (UserError, OSError, MemoryError) as error:
         print(f"polarfield: {line_of(error)}", file=sys.stderr)
-        return 2
+        return error.status if isinstance(error, UserError) else UserError.status
     except Interrupted as signal_heard:
         if "--alone" not in arguments:  # the run that began this stage says it
             print("polarfield: interrupted; the same command goes on from what is done", file=sys.stderr)
@@ -41,6 +43,10 @@ def main(program: Program, arguments: Sequence[str]) -> int:
 
 
 def _run(program: Program, arguments: Sequence[str]) -> int:
+    if arguments[:1] == ["job"] and len(arguments) == JOB_WORDS:
+        from pipeline.engine.batch.plan_file import run_job
+
+        return run_job(arguments[1:], lambda line: main(program, line))
     stages = load_stages(program.modules)
     options = parse(stages, arguments)
     if options.command in ("gc", "verify"):
@@ -48,7 +54,7 @@ def _run(program: Program, arguments: Sequence[str]) -> int:
     if options.command == "batch":
         from pipeline.engine.batch.command import batch
 
-        return batch(program, options, stages)
+        return batch(program, options, stages, arguments)
     call = open_call(program, options, stages)
     if options.command in ("plan", "inspect"):
         return _show(call)
