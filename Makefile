@@ -21,7 +21,7 @@ export CAPTURE DATASET PARAMS ENVS DEVICE JOBS CAPTURES MEMORY DEMO
 SETTINGS = --dataset="$$DATASET" --params="$$PARAMS" --envs="$$ENVS" --device="$$DEVICE" --jobs="$$JOBS" --memory="$$MEMORY"
 OPTIONS = $(if $(CAPTURE),"$$CAPTURE") $(SETTINGS)
 
-.PHONY: all plan inspect report batch verify gc $(STAGES) setup demo test test-fast lint bench bench-train bench-olat bench-rasterize clean help
+.PHONY: all plan inspect report batch verify gc $(STAGES) setup demo test test-fast crash-test lint bench bench-train bench-olat bench-rasterize clean help
 .DEFAULT_GOAL := help
 
 all plan inspect report $(STAGES): $(READY)
@@ -61,6 +61,10 @@ test: $(READY) lint  ## everything, fast tests first
 
 test-fast: $(READY)  ## under a minute
 	$(FAST)
+
+# Every stop is a run of its own: some two thousand of them, a minute a hundred on quiet cores.
+crash-test: $(READY)  ## stop small runs before each of their changes to the disk; needs a C compiler
+	OMP_NUM_THREADS=1 $(BIN)/python tests/crash/points.py
 
 lint: $(READY)  ## ruff and mypy
 	$(BIN)/ruff check .
