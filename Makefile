@@ -85,7 +85,7 @@ clean:  ## caches and the demo; never a dataset
 	find pipeline stages tests benchmarks synth -name __pycache__ -type d -prune -exec rm -rf {} +
 
 help:
-	@echo "make all CAPTURE=folder [DATASET=folder] [PARAMS='train.iterations=500'] [ENVS='a.hdr b.hdr'] [DEVICE=cpu|cuda] [JOBS=n]"
+	@echo "make all CAPTURE=folder [DATASET=folder] [PARAMS='train.iterations=500'] [ENVS='a.hdr b.hdr'] [DEVICE=cpu|cuda] [JOBS=n] [MEMORY=16G]"
 	@echo
 	@echo "all                       every stage that the capture needs, with exactly the PARAMS and ENVS that are given"
 	@echo "inspect                   a page that shows what was understood of a capture, before anything long runs"

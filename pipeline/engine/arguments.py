@@ -9,6 +9,7 @@ import typing
 from collections.abc import Mapping, Sequence
 from typing import Any, NoReturn
 
+from pipeline.engine.memory import parsed_mb
 from pipeline.engine.stage import Stage
 from pipeline.errors import UserError, nearest
 
@@ -67,6 +68,8 @@ def parse(stages: Mapping[str, Stage], arguments: Sequence[str]) -> argparse.Nam
         raise _unknown(flag, options.command, stages)
     if options.jobs < 1:
         raise UserError(_spoken("--jobs"), f"{options.jobs} is not a whole number from 1 on", "as in 2")
+    if options.memory:
+        parsed_mb(options.memory)
     return options
 
 

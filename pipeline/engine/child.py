@@ -19,6 +19,7 @@ def stage_command(call: Call, name: str, jobs: int | None = None) -> list[str]:
     command = [sys.executable, "-m", call.program.module, name, str(call.capture.root), "--alone"]
     command += ["--dataset", str(call.dataset.root)]
     command += [f"--params={call.settings.params_text()}", f"--envs={call.settings.envs_text()}"]
+    command += ["--memory", options.memory] if options.memory else []
     return command + ["--device", options.device, "--jobs", str(jobs or options.jobs)] + (["--quiet"] if options.quiet else [])
 
 

@@ -188,10 +188,12 @@ def _wanted(steps: list[Step], target: str | None) -> list[Step]:
 def _make_alone(call: Call, steps: list[Step]) -> int:
     """The child's part of a run: one stage, whose inputs are there."""
     from pipeline.engine.execute import make_version
+    from pipeline.engine.memory import allowance
 
     step = next(s for s in steps if s.stage.name == call.command)
     device = device_of(call.options.device) if step.stage.device else "cpu"
-    make_version(call.dataset, call.capture, step, call.capture.environments, device, call.options.jobs, call.progress)
+    allowed = allowance(step, call.capture, call.options.jobs, call.options.memory)
+    make_version(call.dataset, call.capture, step, call.capture.environments, device, allowed, call.progress)
     return 0
 
 

@@ -4,12 +4,52 @@ from __future__ import annotations
 
 import os
 import re
+from dataclasses import dataclass
 from pathlib import Path
 
+from pipeline.capture import Capture
+from pipeline.engine.plan import Step
 from pipeline.errors import UserError
 
 UNITS = {"K": 2**-10, "M": 1.0, "G": 2**10, "T": 2**20}  # MiB
 CGROUPS = Path("/sys/fs/cgroup")
+NEARLY_ALL = 0.97  # of the machine's memory: past it the kernel ends a process, and says nothing to it
+
+
+@dataclass(frozen=True)
+class Allowance:
+    """What a stage will take (MiB), how many pieces side by side that is for, and how much it may take before it is stopped."""
+
+    expected_mb: float
+    jobs: int
+    limit_mb: float
+    given: bool = False
+
+    def overrun(self, stage: str) -> str:
+        """The line with which a stage is stopped."""
+        whose = "MEMORY (--memory)" if self.given else "this machine"
+        fault = f"takes more than the {self.limit_mb:.0f} MB that {whose} allows it, and was stopped"
+        return str(UserError(stage, fault, "give it more, or smaller images; the same command goes on from its checkpoint"))
+
+
+def allowance(step: Step, capture: Capture, jobs: int, given: str) -> Allowance:
+    """How a stage fits into the memory that is `given` (text, empty: the machine's), with fewer jobs side by side if need be.
+
+    Raises UserError where one job alone would take more than was given.
+    """
+    name = step.stage.name
+
+    def expected_mb(count: int) -> float:
+        return step.stage.memory(capture, step.parameters, count)
+
+    if not given:
+        return Allowance(expected_mb(jobs), jobs, NEARLY_ALL * machine_mb())
+    limit = parsed_mb(given)
+    fitting = next((count for count in range(jobs, 0, -1) if expected_mb(count) <= limit), None)
+    if fitting is None:
+        fault = f"needs about {expected_mb(1):.0f} MB of memory, and MEMORY (--memory) is {limit:.0f} MB"
+        raise UserError(name, fault, "give it more, or smaller images")
+    return Allowance(expected_mb(fitting), fitting, limit, given=True)
 
 
 def parsed_mb(text: str) -> float:

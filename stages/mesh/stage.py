@@ -5,6 +5,7 @@ from __future__ import annotations
 from pipeline.capture import Capture
 from pipeline.capture.view_rules import too_few_views
 from pipeline.engine.stage import Decision, Stage, StageRun
+from stages import memory_estimate
 
 from .parameters import MeshParameters
 
@@ -25,4 +26,4 @@ def run(run: StageRun) -> None:
     make_mesh(run)
 
 
-STAGE = Stage("mesh", 2, MeshParameters, ("poses", "train"), needed, run)
+STAGE = Stage("mesh", 2, MeshParameters, ("poses", "train"), needed, run, memory=memory_estimate.mesh)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pipeline.capture import Capture
 from pipeline.capture.view_rules import too_few_views
 from pipeline.engine.stage import Decision, Stage, StageRun
+from stages import memory_estimate
 
 from .parameters import RelightParameters
 
@@ -43,4 +44,5 @@ STAGE = Stage(
     run=run,
     config=("up", "olat"),
     environments=True,
+    memory=memory_estimate.relight,
 )

@@ -12,6 +12,7 @@ from pipeline.capture import Capture
 from pipeline.engine import call as calls
 from pipeline.engine import cli, places
 from pipeline.engine.execute import make_version
+from pipeline.engine.memory import allowance
 from pipeline.engine.stage import Decision, Stage, StageRun
 from pipeline.errors import UserError
 
@@ -117,7 +118,8 @@ def command(stages, tmp_path, monkeypatch, capsys) -> Callable[..., Outcome]:
             call.capture, call.stages, call.settings.parameters, call.capture.environments, call.dataset.digests
         )
         step = next(s for s in steps if s.stage.name == name)
-        make_version(call.dataset, call.capture, step, call.capture.environments, "cpu", 1, call.progress)
+        allowed = allowance(step, call.capture, call.options.jobs, call.options.memory)
+        make_version(call.dataset, call.capture, step, call.capture.environments, "cpu", allowed, call.progress)
         return 0
 
     monkeypatch.setattr(cli, "load_stages", lambda modules: house)
