@@ -21,10 +21,10 @@ export CAPTURE DATASET PARAMS ENVS DEVICE JOBS CAPTURES MEMORY DEMO
 SETTINGS = --dataset="$$DATASET" --params="$$PARAMS" --envs="$$ENVS" --device="$$DEVICE" --jobs="$$JOBS" --memory="$$MEMORY"
 OPTIONS = $(if $(CAPTURE),"$$CAPTURE") $(SETTINGS)
 
-.PHONY: all plan inspect report batch verify gc $(STAGES) setup demo test test-fast crash-test lint bench bench-train bench-olat bench-rasterize clean help
+.PHONY: all plan inspect report tradeoff batch verify gc $(STAGES) setup demo test test-fast crash-test lint bench bench-train bench-olat bench-rasterize stability clean help
 .DEFAULT_GOAL := help
 
-all plan inspect report $(STAGES): $(READY)
+all plan inspect report tradeoff $(STAGES): $(READY)
 	@exec $(BIN)/polarfield $@ $(OPTIONS)
 
 batch: $(READY)
@@ -66,8 +66,9 @@ test-fast: $(READY)  ## under a minute
 crash-test: $(READY)  ## stop small runs before each of their changes to the disk; needs a C compiler
 	OMP_NUM_THREADS=1 $(BIN)/python tests/crash/points.py
 
-lint: $(READY)  ## ruff and mypy
+lint: $(READY)  ## ruff (rules and format) and mypy
 	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
 bench: bench-rasterize bench-olat bench-train  ## all benchmarks; CAPTURES=folder of captures with ground truth
@@ -76,6 +77,9 @@ bench: bench-rasterize bench-olat bench-train  ## all benchmarks; CAPTURES=folde
 $(VENV)/.bench: $(READY)
 	$(BIN)/python -m pip install --quiet --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[bench]'
 	@touch $@
+
+stability: $(READY)  ## stiff and extreme cases, every verdict in docs/stability.md
+	$(BIN)/python -m benchmarks.stability
 
 bench-train bench-olat bench-rasterize: $(VENV)/.bench
 	$(BIN)/python -m benchmarks.$(subst -,_,$@) $(if $(CAPTURES),--captures "$$CAPTURES")
@@ -92,6 +96,7 @@ help:
 	@echo "plan                      what 'all' would run, what is done already, and why"
 	@echo "$(STAGES)"
 	@echo "                          one stage and what it needs; stages that PARAMS does not name stay as in the last run"
+	@echo "tradeoff                  error against seconds on this capture, and PARAMS for twice as fast and for the smallest error"
 	@echo "report                    write the report of the results in use and say where it lies; runs no other stage"
 	@echo "batch                     every stage of every capture; CAPTURES=folder|list [DATASET=folder of datasets] [JOBS=n] [MEMORY=16G]"
 	@echo "verify                    name what is damaged of everything in use; DATASET=folder [FULL=1] [REPAIR=1: drop that]"

@@ -1,4 +1,4 @@
-"""The `polarfield` command: `all`, one command per stage, `plan`, `inspect`, `report`, `verify`, `gc`."""
+"""The `polarfield` command: `all`, one command per stage, and those of `arguments.COMMANDS`."""
 
 from __future__ import annotations
 
@@ -49,6 +49,9 @@ def _run(program: Program, arguments: Sequence[str]) -> int:
         return run_job(arguments[1:], lambda line: main(program, line))
     stages = load_stages(program.modules)
     options = parse(stages, arguments)
+    if options.command == "compare" and program.compare is not None:
+        print(f"comparison: {program.compare([Path(p) for p in options.datasets], Path(options.out))}")
+        return 0
     if options.command in ("gc", "verify"):
         return {"gc": collect, "verify": verify}[options.command](options, stages)
     if options.command == "batch":
@@ -60,6 +63,10 @@ def _run(program: Program, arguments: Sequence[str]) -> int:
         return _show(call)
     if options.command == "report":
         return _report(call)
+    if options.command == "tradeoff" and program.tradeoff is not None:
+        texts = call.settings.params_text(), call.settings.envs_text()
+        print(f"tradeoff: {program.tradeoff(call.capture.root, call.dataset.root, *texts, call.progress.say)}")
+        return 0
     call.dataset.prepare()
     with call.dataset.in_use():
         steps = make_plan(call.capture, stages, call.settings.parameters, call.capture.environments, call.dataset.digests)
