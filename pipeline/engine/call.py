@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import argparse
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from pipeline.capture import Capture
-from pipeline.engine.changes import State
 from pipeline.engine.dataset import Dataset, digest_json
 from pipeline.engine.places import open_places
 from pipeline.engine.plan import Step, plan_as_json
+from pipeline.engine.program import Program
 from pipeline.engine.progress import Progress
 from pipeline.engine.settings import (
     Settings,
@@ -22,34 +22,6 @@ from pipeline.engine.settings import (
     with_environments,
 )
 from pipeline.engine.stage import Stage
-
-Inspect = Callable[[Capture, Sequence[Step], Path, Mapping[str, State]], Path]
-"""Write what was understood of a capture to a folder, with a plan and how its steps stand; returns the page's path."""
-
-
-Compare = Callable[[Sequence[Path], Path], Path]
-"""Write a page that shows results side by side into a folder; returns its path."""
-
-
-Tradeoff = Callable[[Path, Path, str, str, Callable[[str], None]], Path]
-"""Try a capture (first) with other parameters beside its dataset, given PARAMS and ENVS; returns the page's path."""
-
-
-@dataclass(frozen=True)
-class Program:
-    """What a command line runs: this file knows no stage.
-
-    `modules`: each stage's module by its name, in running order. `module`: `python -m MODULE STAGE ...` runs one stage in
-    a process of its own. `report`: the stage whose output the report is. `inspect` writes the page of `inspect`,
-    `compare` that of `compare`, `tradeoff` tries out other parameters.
-    """
-
-    modules: Mapping[str, str]
-    module: str
-    report: str
-    inspect: Inspect
-    compare: Compare | None = None
-    tradeoff: Tradeoff | None = None
 
 
 @dataclass(frozen=True)

@@ -5,17 +5,20 @@ from __future__ import annotations
 import io
 import sys
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from pipeline.engine.arguments import parse
-from pipeline.engine.call import Call, Program, describe, open_call, place_of
+from pipeline.engine.call import Call, describe, open_call, place_of
 from pipeline.engine.changes import State, expected_warnings, keep_hint, outlook, plan_text, stale_after, states
 from pipeline.engine.child import run_stage
 from pipeline.engine.device import device_of, refuse_missing_cuda
+from pipeline.engine.early import look_early, say_warnings
 from pipeline.engine.gc import collect
 from pipeline.engine.interrupts import Interrupted, interruptible
-from pipeline.engine.places import refuse_another_capture
+from pipeline.engine.places import existing_dataset, refuse_another_capture
 from pipeline.engine.plan import Step, load_stages, make_plan
+from pipeline.engine.program import Program
 from pipeline.engine.settings import remember
 from pipeline.engine.verify import verify
 from pipeline.errors import UserError, line_of
@@ -48,9 +51,13 @@ def _run(program: Program, arguments: Sequence[str]) -> int:
 
         return run_job(arguments[1:], lambda line: main(program, line))
     stages = load_stages(program.modules)
-    options = parse(stages, arguments)
+    options = parse(stages, arguments, program.formats)
     if options.command == "compare" and program.compare is not None:
         print(f"comparison: {program.compare([Path(p) for p in options.datasets], Path(options.out))}")
+        return 0
+    if options.command == "export" and program.export is not None:
+        dataset = existing_dataset(options.capture, options.dataset, "export")
+        print(f"exported: {program.export(dataset, options.to, options.out)}")
         return 0
     if options.command in ("gc", "verify"):
         return {"gc": collect, "verify": verify}[options.command](options, stages)
@@ -86,14 +93,18 @@ def _show(call: Call) -> int:
     print(f"{call.capture.root.name}: {call.capture.layout}\n{plan_text(steps, found)}\n{outlook(found)}")
     if hint := keep_hint(call.last, call.settings, found, call.stages, call.command not in call.stages):
         print(hint)
-    for warning in expected_warnings(call.capture.warnings, call.dataset, found):
-        print(f"warning: {warning}")
+    warnings = expected_warnings(call.capture.warnings, call.dataset, found)
+    say_warnings(warnings)
     for step in steps:
         if not found[step.stage.name].ready:
             step.stage.check(call.capture)
+    new, fault = look_early(call.program.look, call.capture, steps, found, call.command, warnings)
     if call.command == "inspect":
         folder = call.dataset.root.with_name(call.dataset.root.name + "-inspect")
-        print(f"inspection: {call.program.inspect(call.capture, steps, folder, found)}")
+        told = replace(call.capture, warnings=(*call.capture.warnings, *new, *([str(fault)] if fault else [])))
+        print(f"inspection: {call.program.inspect(told, steps, folder, found)}")
+    if fault is not None:
+        raise fault
     return 0
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from pipeline.errors import UserError
 from pipeline.formats.exr_frame import ExrFrame, exr_frame
 from pipeline.formats.image_output import oiio_library, reason_of, write_pixels
-from pipeline.formats.truncation import refuse_truncated
+from pipeline.formats.truncation import refuse_garbled_name, refuse_truncated
 
 if TYPE_CHECKING:
     from pipeline.formats.image_parts import Page
@@ -47,6 +47,7 @@ def open_whole(path: Path, unassociated: bool = False) -> Any:
 
     if not path.is_file():
         raise UserError(path, "no such image", "check the path and the name")
+    refuse_garbled_name(path)
     if path.stat().st_size == 0:
         raise UserError(path, "the file is empty (0 bytes)", "copy it again from its source")
     if path.suffix.lower() == ".png":
@@ -165,14 +166,15 @@ def write_rgb(path: str | Path, rgb: np.ndarray) -> None:
     write_pixels(Path(path), np.ascontiguousarray(rgb, np.float32), "float", list(RGB), {"compression": EXR_COMPRESSION})
 
 
-def write_png(path: str | Path, pixels: np.ndarray) -> None:
-    """Write an 8-bit PNG from uint8, or from display-encoded floats in 0..1 ([H, W], [H, W, 1|3|4])."""
-    if pixels.dtype != np.uint8:
-        pixels = (np.clip(np.nan_to_num(pixels), 0, 1) * 255 + 0.5).astype(np.uint8)
+def write_png(path: str | Path, pixels: np.ndarray, bits: int = 8) -> None:
+    """Write a PNG of 8 or 16 bits from integers of as many, or from floats in 0..1 ([H, W], [H, W, 1|3|4])."""
+    kind = f"uint{bits}"
+    if pixels.dtype != kind:
+        pixels = (np.clip(np.nan_to_num(pixels), 0, 1) * (2**bits - 1) + 0.5).astype(kind)
     if pixels.ndim == 2:
         pixels = pixels[..., None]
     names = {1: ["Y"], 3: ["R", "G", "B"], 4: ["R", "G", "B", "A"]}[pixels.shape[2]]
-    write_pixels(Path(path), np.ascontiguousarray(pixels), "uint8", names, {"oiio:UnassociatedAlpha": 1})
+    write_pixels(Path(path), np.ascontiguousarray(pixels), kind, names, {"oiio:UnassociatedAlpha": 1})
 
 
 def read_mask(path: str | Path) -> np.ndarray:

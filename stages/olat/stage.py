@@ -36,7 +36,7 @@ def capture_files(capture: Capture) -> Iterable[Path]:
     stage = capture.light_stage
     if stage is None:
         return []
-    return [path for camera in stage.cameras.values() for path in (*camera.cross, *camera.parallel)]
+    return [path for camera in stage.cameras.values() for path in camera.frames]
 
 
 def memory(capture: Capture, parameters: OlatParameters, jobs: int) -> float:
@@ -63,7 +63,7 @@ def run(stage: StageRun) -> None:
 
 STAGE = Stage(
     name="olat",
-    version=8,
+    version=9,
     parameters=OlatParameters,
     needs=("decode", "masks"),
     needed=needed,

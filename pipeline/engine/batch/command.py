@@ -14,12 +14,12 @@ from pipeline.engine.batch.side_by_side import SideBySide
 from pipeline.engine.batch.slurm import ROUNDS, submit
 from pipeline.engine.batch.snakemake import run_snakemake
 from pipeline.engine.batch.table import write_table
-from pipeline.engine.call import Program
 from pipeline.engine.dataset import DigestCache
 from pipeline.engine.dataset.documents import write_whole
 from pipeline.engine.dataset.links import refuse_links
 from pipeline.engine.device import refuse_missing_cuda
 from pipeline.engine.memory import machine_mb, parsed_mb
+from pipeline.engine.program import Program
 from pipeline.engine.progress import Progress
 from pipeline.engine.settings import given_settings
 from pipeline.engine.stage import Stage

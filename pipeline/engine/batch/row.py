@@ -9,12 +9,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from pipeline.engine.batch.captures import Place
-from pipeline.engine.call import Call, Program, describe, open_call
+from pipeline.engine.call import Call, describe, open_call
 from pipeline.engine.changes import State, states
 from pipeline.engine.dataset import Dataset, DigestCache
 from pipeline.engine.dataset.links import refuse_links
 from pipeline.engine.places import refuse_another_capture
 from pipeline.engine.plan import Step, make_plan
+from pipeline.engine.program import Program
 from pipeline.engine.settings import remember
 from pipeline.engine.stage import Stage
 from pipeline.errors import UserError, line_of, one_line
