@@ -118,12 +118,7 @@ class GridMap:
         diffuse = _blended(local.packed, field.transmitted, weight, normals)
         seen = torch.zeros_like(diffuse)
         if blocked.any():
-            mean = torch.stack(
-                [
-                    replace(field, packed=p).mirrored(mirror[blocked], roughness[blocked])
-                    for p in local.packed
-                ]
-            )
+            mean = torch.stack([replace(field, packed=p).mirrored(mirror[blocked], roughness[blocked]) for p in local.packed])
             seen[blocked] = torch.einsum("pa,apc->pc", weight[blocked], mean)
         return Occlusion(torch.zeros_like(diffuse), diffuse, (~blocked).to(diffuse.dtype), seen)
 

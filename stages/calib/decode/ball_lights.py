@@ -76,9 +76,7 @@ def main(arguments: list[str] | None = None) -> int:
     residual = f"residual {np.median(deviation):.2f} degrees (median), {deviation.max():.2f} at most"
     print(f"{a.output}: {int(found.seen.sum())} of {len(numbers)} lights, {residual}")
     for number in [n for n, seen in zip(numbers, found.seen) if not seen]:
-        print(
-            f"warning: frame {number} shows no light on the ball: left out; check that its light was on", file=sys.stderr
-        )
+        print(f"warning: frame {number} shows no light on the ball: left out; check that its light was on", file=sys.stderr)
     if np.median(deviation) > DOUBTFUL:
         print("warning: directions are uncertain: check the mask's outline, and --kind", file=sys.stderr)
     return 0
