@@ -39,8 +39,8 @@ class Hull:
 
 
 def silhouettes_of(views: Sequence[MapView]) -> list[Silhouette]:
-    """The views' masks with their cameras, and about each as much empty frame as the mask is large on the sides that it does not
-    reach: views are cut to the object, and what lies beside it is off it."""
+    """The views' masks with their cameras, and empty frame about each, as wide as the mask is large, on the sides that it does
+    not reach: views are cut to the object, and what lies beside it is off it."""
     return [_with_empty_border(view) for view in views]
 
 
