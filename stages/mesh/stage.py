@@ -5,6 +5,7 @@ from __future__ import annotations
 from pipeline.capture import Capture
 from pipeline.capture.view_rules import too_few_views
 from pipeline.engine.stage import Decision, Stage, StageRun
+from stages import memory_estimate
 
 from .parameters import MeshParameters
 
@@ -24,7 +25,7 @@ def needed(capture: Capture, parameters: MeshParameters) -> Decision:
 
 
 def run(run: StageRun) -> None:
-    """Write mesh.ply (and mesh_poisson.ply when asked)."""
+    """Write mesh.ply and asset/ (and mesh_poisson.ply when asked)."""
     if run.capture.kind == "light_stage":
         from .rig_object import make_rig_mesh
 
@@ -35,4 +36,7 @@ def run(run: StageRun) -> None:
     make_mesh(run)
 
 
-STAGE = Stage("mesh", 2, MeshParameters, ("decode", "poses", "masks", "olat", "train"), needed, run)
+STAGE = Stage(
+    "mesh", 3, MeshParameters, ("decode", "poses", "masks", "olat", "train"), needed, run, config=("up", "unit_m"),
+    memory=memory_estimate.mesh,
+)  # fmt: skip

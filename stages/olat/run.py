@@ -20,7 +20,6 @@ from pipeline.formats.dataset_files import FITTED_LOBE
 from pipeline.geometry.cameras import Camera
 from pipeline.rig.light_table import LightTable
 from pipeline.rig.lobe_names import LOBES
-from pipeline.rig.solid_angles import solid_angles
 from stages.olat.evidence.after_fits import Verdict
 from stages.olat.evidence.before_fits import check_capture, check_rig
 from stages.olat.maps.footprint import with_neighbours
@@ -33,7 +32,7 @@ from stages.olat.pixel_fit.many_pixels import fit, load, ready
 from stages.olat.pixel_fit.result_layout import map_slices
 from stages.olat.reading.frame_reader import Samples, ahead
 from stages.olat.reading.misregistration import WARN_PX, Misregistration
-from stages.olat.reading.rig_cameras import PILOT, CameraJob, decoded
+from stages.olat.reading.rig_cameras import PILOT, CameraJob, decoded, light_rig
 from stages.olat.reading.scanline_bands import Band, parts_of
 from stages.olat.reading.stream import Lanes, Piece
 
@@ -100,18 +99,6 @@ def _begun(taken: list[Piece], pieces: Iterator[Piece]) -> Iterator[Piece]:
     while taken:
         yield taken.pop(0)
     yield from pieces
-
-
-def light_rig(index: dict[str, Any], step: int = 1) -> LightTable:
-    """The lights of olat.json, each `step`-th, with solid angles (computed where the table has none)."""
-    table = index["lights"]
-    directions = np.array(table["directions"])[::step]
-    positions = np.array(table["positions"])[::step]
-    intensity = np.array(table["intensity"])[::step]
-    given = table.get("solid_angle")
-    area = np.array(given) if given is not None and step == 1 else solid_angles(directions)
-    colour = np.array(table["colour"])[::step] if "colour" in table else None
-    return LightTable(directions, positions, intensity, area, colour=colour)
 
 
 def settings_of(parameters: OlatParameters, config: Any, saturation: float) -> FitOptions:

@@ -17,6 +17,8 @@ from pipeline.errors import UserError
 from pipeline.formats.images import read_mask
 from pipeline.geometry.cameras import Camera, camera_from_frame
 from pipeline.rig.frame_files import frames_root
+from pipeline.rig.light_table import LightTable
+from pipeline.rig.solid_angles import solid_angles
 from stages.olat.parameters import OlatParameters, every
 from stages.olat.reading.frame_reader import is_half
 from stages.olat.reading.scanline_bands import Band, bands_of
@@ -42,6 +44,18 @@ class CameraJob:
 def decoded(stage: StageRun) -> dict[str, Any]:
     """The index of the light stage that decode left."""
     return json.loads((stage.inputs["decode"] / "olat.json").read_text())
+
+
+def light_rig(index: dict[str, Any], step: int = 1) -> LightTable:
+    """The lights of olat.json, each `step`-th, with solid angles (computed where the table has none)."""
+    table = index["lights"]
+    directions = np.array(table["directions"])[::step]
+    positions = np.array(table["positions"])[::step]
+    intensity = np.array(table["intensity"])[::step]
+    given = table.get("solid_angle")
+    area = np.array(given) if given is not None and step == 1 else solid_angles(directions)
+    colour = np.array(table["colour"])[::step] if "colour" in table else None
+    return LightTable(directions, positions, intensity, area, colour=colour)
 
 
 def camera_jobs(stage: StageRun) -> list[CameraJob]:
