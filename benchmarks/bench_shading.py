@@ -220,7 +220,7 @@ def _occluders(
             anchors = GridMap(mesh, colour, weights=weights, lobe=lobe)
             local = anchors.light(texels, light)
             out[f"GridMap {weights}"] = lambda v, r, g=anchors, l=local: g.occlusion(
-                tensor(v["points"]), tensor(v["normal"]), tensor(v["view"]), tensor(r), l
+                v["points"], v["normal"], v["view"], r, l
             )
     return out
 

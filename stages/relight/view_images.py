@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,9 +19,7 @@ from pipeline.geometry.cameras import Camera, load_cameras
 
 from .deferred import Lamp, ShadingModel, Surface
 from .environment_map import read_map
-
-if TYPE_CHECKING:
-    from .mesh_shadows import SelfOcclusion
+from .indirect import indirect_light
 
 LEAST_ALPHA = 1 / 255  # below it nothing shows in any display
 
@@ -59,7 +56,8 @@ def read_view(path: Path, camera: Camera, mask: Path | None) -> ViewPixels:
     along = rays @ camera.world_to_camera[2, :3]  # z of a unit ray
     position = camera.centre + rays * (g.depth / along)[..., None]
     images = (position, g.normal, -rays, g.material, frame_x, frame_y)
-    surface = Surface(*(v.reshape(-1, v.shape[-1])[index] for v in images))
+    position, normal, view, material, frame_x, frame_y = (v.reshape(-1, v.shape[-1])[index] for v in images)
+    surface = Surface(position, normal, view, material, frame_x, frame_y, index)
     return ViewPixels((height, width), index, g.alpha.ravel()[index], surface)
 
 
@@ -77,15 +75,15 @@ def relight_views(run: StageRun) -> None:
         raise UserError(train / files.GBUFFERS, "there are no G-buffers", "run the train stage again")
     model = ShadingModel.read(train / files.LIGHTING, run.capture.up, p.mirror)
     lamps = {environment_name(path): _lamp(run, path, model) for path in run.environments}
-    occluder = _occluder(run, model)
+    occluder = indirect_light(run, model)
     lit = {name: occluder.under(lamp) for name, lamp in lamps.items()} if occluder else {}
     masks = run.inputs.get("masks")
     with run.progress.bar("relighting", total=len(lamps) * len(paths), unit="images") as bar:
         for view, gbuffer in paths.items():
             pixels = read_view(gbuffer, cameras[view], files.mask(masks, view) if masks else None)
-            attachment = occluder.attach(pixels.surface, p.shadow_rays == "pixel") if occluder else None
+            attachment = occluder.attach(pixels.surface, p.shadow_rays == "pixel", view) if occluder else None
             for name, lamp in lamps.items():
-                occlusion = occluder.at(attachment, lit[name]) if occluder and attachment else None
+                occlusion = occluder.at(attachment, lit[name]) if occluder and attachment is not None else None
                 stokes = pixels.image(lamp.stokes(pixels.surface, occlusion))
                 write_stokes(files.relit(run.output / name, view), stokes)
                 if p.previews:
@@ -104,17 +102,3 @@ def _lamp(run: StageRun, path: Path, model: ShadingModel) -> Lamp:
     for fault in faults:
         run.warn(fault)
     return Lamp(radiance, run.parameters.cube, model)
-
-
-def _occluder(run: StageRun, model: ShadingModel) -> SelfOcclusion | None:
-    """What shadows the model throws on itself, or None where they are off."""
-    wanted = run.parameters.occlusion == "on" or (run.parameters.occlusion == "auto" and model.occlusion)
-    mesh = run.inputs.get("mesh")
-    if not wanted or mesh is None:
-        reason = "relight.occlusion=off" if run.parameters.occlusion == "off" else "training saw no self-occlusion"
-        run.note("occlusion", {"run": False, "reason": reason})
-        return None
-    from .mesh_shadows import SelfOcclusion
-
-    run.note("occlusion", {"run": True, "reason": "the object occludes itself: shadows and bounces from the mesh"})
-    return SelfOcclusion(mesh / files.MESH, model)

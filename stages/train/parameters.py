@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from pipeline.capture.model import Polarisation
-from pipeline.optics.model_names import Distribution, Fresnel, Mirror
+from pipeline.optics.model_names import AnchorPlaces, AnchorWeights, Distribution, Fresnel, Indirect, Mirror
 
 
 def _p(default: Any, text: str) -> Any:
@@ -47,7 +47,20 @@ class TrainParameters:
         metadata={"help": "mirrored light: a sum over facets, over a tree of texels, or the split sum (always with schlick)"},
     )
     environment_resolution: int = _p(32, "texels along a side of the environment cube's faces (texels)")
-    occlusion: bool = _p(True, "trace self-shadowing and one bounce where the object occludes itself")
+    indirect: Indirect = field(
+        default="traced",
+        metadata={
+            "help": "light that the object hides from and sends to itself: traced (shadows, one bounce), gridmap (PhyGaP's "
+            "local environments), sh (learnt by every Gaussian, for mirrored light, as Ref-Gaussian), none; left out where "
+            "the object hides nothing"
+        },
+    )
+    gridmap_weights: AnchorWeights = field(
+        default="inverse-square", metadata={"help": "weights of GridMap's anchors: 1/d^2, or d as Eq. 9 prints it"}
+    )
+    gridmap_anchors: AnchorPlaces = field(
+        default="box", metadata={"help": "where GridMap's anchors stand: on the bounding box, or close to the surface (10.4)"}
+    )
 
     weight_rgb: float = _p(1.0, "weight of the radiance loss L_rgb (Eq. 10)")
     weight_dssim: float = _p(0.0, "share of structural dissimilarity in L_rgb; the rest is pixelwise (fraction)")

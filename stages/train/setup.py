@@ -10,6 +10,7 @@ import torch
 
 from pipeline.capture.model import PolariserPrior
 
+from .indirect.harmonics import start_harmonics
 from .initialise.hull import HullMesh, Silhouette, occupancy, signed_distance
 from .initialise.openings import OpeningView, cut_openings
 from .initialise.sampling import mesh_area, sample_evenly, wanted_count
@@ -127,6 +128,8 @@ def _start_model(hull: HullMesh, seen: list[SourceView], pixel: float, parameter
     samples = sample_evenly(hull, count, np.random.default_rng(parameters.seed))
     model = SplatModel.from_samples(samples, START_ALBEDO, START_ROUGHNESS, START_IOR, device)
     _tint(model, seen)
+    if parameters.indirect == "sh":
+        start_harmonics(model)
     return model
 
 

@@ -29,7 +29,8 @@ def needed(capture: Capture, parameters: TrainParameters) -> Decision:
         "none": Decision(False, "RGB only"),
     }[mode]
     angles = Decision(bool(unknown), ", ".join(map(known, unknown)) if unknown else "no unknown polariser angle")
-    occlusion = Decision(parameters.occlusion, "decided from the trained shape" if parameters.occlusion else "switched off")
+    off = parameters.indirect == "none"
+    occlusion = Decision(not off, "switched off" if off else f"{parameters.indirect}, if the trained shape hides any of itself")
     why = "switched on" if parameters.concavities == "on" else "full Stokes tells hollows from the hull"
     why_not = "switched off" if parameters.concavities == "off" else "only full Stokes is evidence enough"
     concavities = Decision(True, why) if parameters.searches_concavities(mode) else Decision(False, why_not)
@@ -51,7 +52,7 @@ def run(stage: StageRun) -> None:
 
 STAGE = Stage(
     name="train",
-    version=6,
+    version=7,
     parameters=TrainParameters,
     needs=("decode", "poses", "masks"),
     needed=needed,
