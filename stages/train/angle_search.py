@@ -112,6 +112,6 @@ def _trainer(
     bank = PolariserBank(priors, scene.bank.names)
     for name, angle in angles.items():
         bank.set_angle(name, math.radians(angle))
-    environment = start_environment(parameters.environment_resolution)
+    environment = start_environment(parameters)
     own = Scene(SplatModel(scene.model.tensors), environment, bank, scene.hull)
     return Trainer(own, start.pyramids, "polarisers", start.frame, parameters, "cpu")

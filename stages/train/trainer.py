@@ -73,7 +73,8 @@ class Trainer:
         """Move everything along the gradients that a rendering's loss has left."""
         raster, scene = rendered.gbuffer.raster, self.scene
         self.upkeep.activity.add(rendered.gbuffer.rows, raster.screen_gradient, raster.visible)
-        self.scale_step.step(scene.environment.raw, scene.model["albedo"], phase.rates[""])
+        if self.parameters.environment_activation == "exponential":
+            self.scale_step.step(scene.environment.raw, scene.model["albedo"], phase.rates[""])
         self.adam.step(scene.tensors(), phase.rates, scene.graph, phase.diffusion)
 
     def phase(self, iteration: int) -> Phase:
