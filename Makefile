@@ -20,7 +20,7 @@ READY := $(VENV)/.ready
 export CAPTURE DATASET PARAMS ENVS DEVICE JOBS CAPTURES DEMO
 OPTIONS = $(if $(CAPTURE),"$$CAPTURE") --dataset="$$DATASET" --params="$$PARAMS" --envs="$$ENVS" --device="$$DEVICE" --jobs="$$JOBS"
 
-.PHONY: all plan inspect report verify gc $(STAGES) setup demo test test-fast lint bench bench-train bench-olat bench-rasterize clean help
+.PHONY: all plan inspect report verify gc $(STAGES) setup demo test test-fast lint bench bench-train bench-olat bench-rasterize bench-light bench-ablation clean help
 .DEFAULT_GOAL := help
 
 all plan inspect report $(STAGES): $(READY)
@@ -62,14 +62,14 @@ lint: $(READY)  ## ruff and mypy
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 
-bench: bench-rasterize bench-olat bench-train  ## all benchmarks; CAPTURES=folder of captures with ground truth
+bench: bench-rasterize bench-olat bench-train bench-light bench-ablation  ## all benchmarks; CAPTURES=folder of captures with ground truth
 
 # What the benchmarks alone need: plots and the solvers to compare with.
 $(VENV)/.bench: $(READY)
 	$(BIN)/python -m pip install --quiet --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[bench]'
 	@touch $@
 
-bench-train bench-olat bench-rasterize: $(VENV)/.bench
+bench-train bench-olat bench-rasterize bench-light bench-ablation: $(VENV)/.bench
 	$(BIN)/python -m benchmarks.$(subst -,_,$@) $(if $(CAPTURES),--captures "$$CAPTURES")
 
 clean:  ## caches and the demo; never a dataset

@@ -43,7 +43,7 @@ def nearest_albedo(points: NDArray, albedo: NDArray, at: NDArray) -> NDArray[np.
 
 @dataclass(frozen=True)
 class LocalLight:
-    """Prefiltered light at every anchor: tables [T, A, 3], their rows as those of `field.packed` (`LightField`)."""
+    """Prefiltered light at every anchor: tables [T, 3, A], their rows as those of `field.packed` (`LightField`)."""
 
     tables: NDArray[np.float32]
     field: LightField
@@ -109,7 +109,7 @@ class GridMap:
             seen = far.repeat(count, 1)
             seen[self._hit] = (leaving[self._corners] * self._share[..., None]).sum(1)
             fields = [self._prefilter.apply(cube) for cube in seen.reshape(count, 6, self.resolution, self.resolution, 3)]
-            tables = np.stack([f.packed.numpy() for f in fields], 1)
+            tables = np.stack([f.packed.numpy() for f in fields], 2)
             return LocalLight(np.ascontiguousarray(tables), fields[0])
 
     def _far(self, radiance: torch.Tensor) -> torch.Tensor:
@@ -132,7 +132,7 @@ class GridMap:
     def blend(self, points: NDArray) -> NDArray[np.float32]:
         """Weights of the anchors at points [P, 3], summing to 1 [P, A] (Eq. 9)."""
         out = np.empty((len(points), len(self.anchors)), np.float32)
-        where = np.ascontiguousarray(points, np.float32), self.anchors.astype(np.float32)
+        where = np.ascontiguousarray(points, np.float32), np.ascontiguousarray(self.anchors.T, np.float32)
         kernels.blend_weights(*where, self.weights == "printed", np.float32(self.floor), out)
         return out
 
@@ -166,7 +166,7 @@ class GridMap:
 
         blocked: whether it does, where the caller has found out; else a ray is cast from each point.
         """
-        mirror = 2 * (normals * view).sum(-1, keepdims=True) * normals - view
+        mirror = 2 * np.einsum("pk,pk->p", normals, view)[:, None] * normals - view
         if blocked is None:
             blocked = self.occluder.blocked(points + self.occluder.lift * normals, mirror)
         weight = self.blend(points)
@@ -195,7 +195,7 @@ def plain_weights(points: torch.Tensor, anchors: torch.Tensor, weights: str, flo
 
 
 def plain_blend(tables: torch.Tensor, level: Level, weight: torch.Tensor, directions: torch.Tensor) -> torch.Tensor:
-    """Lookup [P, 3] of a level in the directions [P, 3], of tables [T, A, 3] blended by weight [P, A]: the definition."""
+    """Lookup [P, 3] of a level in the directions [P, 3], of tables [T, 3, A] blended by weight [P, A]: the definition."""
     rows = level.of(tables)
     flat = lookup(rows.reshape(len(rows), -1), directions, level.resolution)
-    return torch.einsum("pa,pac->pc", weight, flat.reshape(len(directions), -1, 3))
+    return torch.einsum("pa,pca->pc", weight, flat.reshape(len(directions), 3, -1))

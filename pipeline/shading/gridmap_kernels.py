@@ -17,27 +17,37 @@ _ONE, _ZERO = np.float32(1), np.float32(0)
 
 @kernel(parallel=True, fastmath=MATH, error_model="numpy")
 def blend_weights(points, anchors, printed, floor, out):
-    """Weights [P, A] of anchors [A, 3] at points [P, 3], summing to 1: distance if `printed`, else 1 / (distance^2 + floor)."""
+    """Weights [P, A] of anchors [3, A] at points [P, 3], summing to 1: distance if `printed`, else 1 / (distance^2 + floor)."""
+    count = anchors.shape[1]
     for p in prange(len(points)):
+        px, py, pz = points[p, 0], points[p, 1], points[p, 2]
         total = _ZERO
-        for a in range(len(anchors)):
-            x, y, z = points[p, 0] - anchors[a, 0], points[p, 1] - anchors[a, 1], points[p, 2] - anchors[a, 2]
-            square = x * x + y * y + z * z
-            out[p, a] = np.sqrt(square) if printed else _ONE / (square + floor)
-            total += out[p, a]
-        for a in range(len(anchors)):
-            out[p, a] /= total
+        if printed:
+            for a in range(count):
+                x, y, z = px - anchors[0, a], py - anchors[1, a], pz - anchors[2, a]
+                w = np.sqrt(x * x + y * y + z * z)
+                out[p, a] = w
+                total += w
+        else:
+            for a in range(count):
+                x, y, z = px - anchors[0, a], py - anchors[1, a], pz - anchors[2, a]
+                w = _ONE / (x * x + y * y + z * z + floor)
+                out[p, a] = w
+                total += w
+        scale = _ONE / total
+        for a in range(count):
+            out[p, a] *= scale
 
 
 @kernel(fastmath=MATH, error_model="numpy")
 def _mean(tables, row, weight, p):
     """RGB of a texel, blended over the anchors."""
     red, green, blue = _ZERO, _ZERO, _ZERO
-    for a in range(tables.shape[1]):
+    for a in range(tables.shape[2]):
         w = weight[p, a]
-        red += w * tables[row, a, 0]
-        green += w * tables[row, a, 1]
-        blue += w * tables[row, a, 2]
+        red += w * tables[row, 0, a]
+        green += w * tables[row, 1, a]
+        blue += w * tables[row, 2, a]
     return red, green, blue
 
 
@@ -45,7 +55,7 @@ def _mean(tables, row, weight, p):
 def add_blended(tables, start, size, index, directions, rows, share, weight, out):
     """out[p] += share[p] x the anchors' bilinear lookups in directions[p], blended by weight[p], for the points p of `rows`.
 
-    tables [T, A, 3]: the anchors' packed levels, a texel's side by side; start, size: the level's; index: its padded rows.
+    tables [T, 3, A]: the anchors' packed levels, a texel's side by side; start, size: the level's; index: its padded rows.
     """
     for k in prange(len(rows)):
         p = rows[k]

@@ -69,7 +69,7 @@ class Renderer:
         if self.substitute is not None and self.substitute.active:
             for view in views:
                 seen = rasterise_view(splats, view, view.pixels, self.backend)
-                self.scene.occlusion[view.name, level] = self.substitute.at(view, seen)
+                self.scene.occlusion[view.name, level] = self.substitute.at(view, seen, follows=True)
         if self.scene.splat_occlusion is None:
             return
         for view in views:

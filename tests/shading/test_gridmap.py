@@ -37,7 +37,7 @@ def test_52_anchors_stand_close_to_the_surface_outside_and_all_around(ball):
 def test_the_papers_cubes_have_64_texels_and_half_of_a_boxs_rays_hit(ball):
     grid = GridMap(ball, np.full(ball.vertices.shape, GREY))
     light = grid.light(torch.ones(6, 16, 16, 3), Prefilter(16).apply(torch.ones(6, 16, 16, 3)))
-    assert light.field.resolution == 64 and light.tables.shape[1:] == (52, 3)
+    assert light.field.resolution == 64 and light.tables.shape[1:] == (3, 52)
     # Anchors at the corners of the box stand 1.9 from the centre, those on its faces 1.1 and more: the ball fills
     # (1 - sqrt(1 - 1/d^2))/2 of what they see.
     distance = np.linalg.norm(grid.anchors, axis=1)

@@ -30,7 +30,7 @@ class LocalLight(PixelLight):
 
     def under(self, normal: torch.Tensor, extra: torch.Tensor) -> Occlusion:
         """The light for a rendering with these normals [P, 3], and values [P, C] blended from the splats."""
-        bounced = self.bounced + torch.einsum("pk,pkc->pc", normal - self.normal, self.slope)
+        bounced = self.bounced + ((normal - self.normal)[:, :, None] * self.slope).sum(1)  # einsum: a matrix product a pixel
         return Occlusion(self.shadow, bounced.clamp_min(0), self.unblocked, self.seen)
 
 

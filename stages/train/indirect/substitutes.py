@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from pipeline.geometry.occluder import Occluder
-from pipeline.shading import LightField
+from pipeline.shading import LightField, Occlusion
 from pipeline.shading.gridmap import GridMap, nearest_albedo
 from pipeline.shading.occluded import LEAST_BLOCKED, blocked_share
 
@@ -17,7 +17,7 @@ from ..splats.gaussians import ROUGHNESS_FLOOR, Splats
 from ..splats.splat_occlusion import LIFT, CarriedHull
 from ..views.view import View
 from .harmonics import towards_mirror
-from .pixel_light import LearntLight, LocalLight, PixelLight
+from .pixel_light import LearntLight, LocalLight
 
 GRIDMAP_EVERY = 300  # steps between two of them (PhyGaP 9.4)
 TILT = 0.05  # of a normal, by which the irradiance's slope is taken: half a texel of the diffuse level
@@ -50,8 +50,11 @@ class Substitute:
         """Values of every splat [N, C] to blend alongside, with their gradient."""
         return None
 
-    def at(self, view: View, gbuffer: GBuffer) -> PixelLight:
-        """The light at a view's pixels, of which the G-buffer is the rendering as it is; no gradient."""
+    def at(self, view: View, gbuffer: GBuffer, follows: bool = False) -> Occlusion:
+        """The light at a view's pixels, of which the G-buffer is the rendering as it is; no gradient.
+
+        follows: for the steps of training to come too.
+        """
         raise NotImplementedError
 
 
@@ -68,16 +71,25 @@ class LocalEnvironments(Substitute):
         self.light = self.grid.light(self.scene.environment.radiance(), light)
 
     @torch.no_grad()
-    def at(self, view: View, gbuffer: GBuffer) -> PixelLight:
+    def at(self, view: View, gbuffer: GBuffer, follows: bool = False) -> Occlusion:
         """Look the anchors up at a view's pixels."""
-        points, normal, towards = surface_of(view, gbuffer)
-        roughness = gbuffer.roughness.clamp(ROUGHNESS_FLOOR, 1).cpu().numpy()
-        blocked = mirror_blocked(self.scene, points, normal, towards)
-        found = self.grid.occlusion(points, normal, towards, roughness, self.light, blocked)
-        slope = self._slope(points, normal, found.bounced.numpy())
-        device = view.view_direction.device
-        parts = (found.shadow, found.bounced, found.unblocked, found.seen, torch.as_tensor(normal), torch.as_tensor(slope))
-        return LocalLight(*(x.to(device) for x in parts))
+        shown = gbuffer.alpha.cpu().numpy() > LEAST_ALPHA
+        points, normals, towards = surface_of(view, gbuffer)
+        surface = points[shown], normals[shown], towards[shown]
+        roughness = gbuffer.roughness.clamp(ROUGHNESS_FLOOR, 1).cpu().numpy()[shown]
+        found = self.grid.occlusion(*surface, roughness, self.light, mirror_blocked(self.scene, *surface))
+        rows = torch.as_tensor(np.flatnonzero(shown), device=view.view_direction.device)
+
+        def everywhere(values: torch.Tensor) -> torch.Tensor:
+            out = torch.zeros(len(shown), *values.shape[1:], device=rows.device)
+            return out.index_copy_(0, rows, values.to(rows.device))
+
+        light = (found.shadow, found.bounced, found.unblocked, found.seen)
+        shadow, bounced, unblocked, seen = (everywhere(x) for x in light)
+        if not follows:
+            return Occlusion(shadow, bounced, unblocked, seen)
+        slope = everywhere(torch.as_tensor(self._slope(*surface[:2], found.bounced.numpy())))
+        return LocalLight(shadow, bounced, unblocked, seen, torch.as_tensor(normals, device=rows.device), slope)
 
     def _slope(self, points: np.ndarray, normal: np.ndarray, here: np.ndarray) -> np.ndarray:
         """Change [P, 3, 3] of the irradiance with the normal, across it."""
@@ -99,9 +111,10 @@ class LearntHarmonics(Substitute):
         return towards_mirror(self.scene.model, splats, view)
 
     @torch.no_grad()
-    def at(self, view: View, gbuffer: GBuffer) -> PixelLight:
+    def at(self, view: View, gbuffer: GBuffer, follows: bool = False) -> Occlusion:
         """Which pixels mirror the object."""
-        blocked = mirror_blocked(self.scene, *surface_of(view, gbuffer))
+        blocked = gbuffer.alpha.cpu().numpy() > LEAST_ALPHA
+        blocked[blocked] = mirror_blocked(self.scene, *(v[blocked] for v in surface_of(view, gbuffer)))
         unblocked = torch.as_tensor((~blocked).astype(np.float32), device=view.view_direction.device)
         ones, zeros = (torch.full((len(unblocked), 3), v, device=unblocked.device) for v in (1.0, 0.0))
         return LearntLight(ones, zeros, unblocked, zeros)
@@ -126,6 +139,9 @@ def mirror_blocked(scene: Scene, points: np.ndarray, normals: np.ndarray, toward
     """Whether each point's mirror ray meets the object [P]: "invisible", as Ref-Gaussian and PhyGaP call it."""
     hull: CarriedHull | None = scene.occluder
     assert hull is not None
-    mirrored = 2 * (normals * towards).sum(-1, keepdims=True) * normals - towards
-    hit, _ = hull.cast(points + LIFT * scene.linked().spacing * normals, mirrored)
-    return hit
+    mirrored = 2 * np.einsum("pk,pk->p", normals, towards)[:, None] * normals - towards
+    origins = points + LIFT * scene.linked().spacing * normals
+    met = hull.rays.blocked(origins, mirrored)  # by whichever side: cheap
+    rows = np.flatnonzero(met)
+    met[rows], _ = hull.cast(origins[rows], mirrored[rows])
+    return met
