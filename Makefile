@@ -20,10 +20,10 @@ READY := $(VENV)/.ready
 export CAPTURE DATASET PARAMS ENVS DEVICE JOBS CAPTURES DEMO
 OPTIONS = $(if $(CAPTURE),"$$CAPTURE") --dataset="$$DATASET" --params="$$PARAMS" --envs="$$ENVS" --device="$$DEVICE" --jobs="$$JOBS"
 
-.PHONY: all plan inspect report verify gc $(STAGES) setup demo test test-fast lint bench bench-train bench-olat bench-rasterize bench-light bench-ablation clean help
+.PHONY: all plan inspect report tradeoff verify gc $(STAGES) setup demo test test-fast lint bench bench-train bench-olat bench-rasterize bench-light bench-ablation stability clean help
 .DEFAULT_GOAL := help
 
-all plan inspect report $(STAGES): $(READY)
+all plan inspect report tradeoff $(STAGES): $(READY)
 	@exec $(BIN)/polarfield $@ $(OPTIONS)
 
 verify: $(READY)
@@ -58,8 +58,9 @@ test: $(READY) lint  ## everything, fast tests first
 test-fast: $(READY)  ## under a minute
 	$(FAST)
 
-lint: $(READY)  ## ruff and mypy
+lint: $(READY)  ## ruff (rules and format) and mypy
 	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
 bench: bench-rasterize bench-olat bench-train bench-light bench-ablation  ## all benchmarks; CAPTURES=folder of captures with ground truth
@@ -68,6 +69,9 @@ bench: bench-rasterize bench-olat bench-train bench-light bench-ablation  ## all
 $(VENV)/.bench: $(READY)
 	$(BIN)/python -m pip install --quiet --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[bench]'
 	@touch $@
+
+stability: $(READY)  ## stiff and extreme cases, every verdict in docs/stability.md
+	$(BIN)/python -m benchmarks.stability
 
 bench-train bench-olat bench-rasterize bench-light bench-ablation: $(VENV)/.bench
 	$(BIN)/python -m benchmarks.$(subst -,_,$@) $(if $(CAPTURES),--captures "$$CAPTURES")
@@ -84,6 +88,7 @@ help:
 	@echo "plan                      what 'all' would run, what is done already, and why"
 	@echo "$(STAGES)"
 	@echo "                          one stage and what it needs; stages that PARAMS does not name stay as in the last run"
+	@echo "tradeoff                  error against seconds on this capture, and PARAMS for twice as fast and for the smallest error"
 	@echo "report                    write the report of the results in use and say where it lies; runs no other stage"
 	@echo "verify                    name what is damaged of everything in use; DATASET=folder [FULL=1] [REPAIR=1: drop that]"
 	@echo "gc                        remove versions that nothing in use was made from; DATASET=folder [DRY_RUN=1] [YES=1]"

@@ -35,6 +35,7 @@ from pipeline.capture.mosaic.demosaic import demosaic
 from pipeline.engine.progress import Progress
 from pipeline.engine.stage import StageRun
 from pipeline.formats.images import read_mask, read_stokes, write_stokes
+from pipeline.optics.stokes import degree
 
 ORDER = (90.0, 45.0, 135.0, 0.0)
 NOISE = 5e-4
@@ -200,7 +201,8 @@ def mosaic_of(stokes: np.ndarray, colour: str) -> np.ndarray:
 
 
 def dolp(stokes: np.ndarray) -> np.ndarray:
-    return np.minimum(np.hypot(stokes[:, :, 1], stokes[:, :, 2]) / np.maximum(stokes[:, :, 0], 1e-6), 1)
+    """DoLP [H, W, C], at most 1, of Stokes images [H, W, 3, C]."""
+    return np.minimum(degree(np.moveaxis(stokes, 2, -1)), 1)
 
 
 def errors(captures: Path) -> dict[str, dict[str, float]]:

@@ -94,6 +94,7 @@ def figures(trainer: Any, sources: list[Any], truth: list[Any], folder: Path) ->
     import torch
 
     from pipeline.formats.images import read_image
+    from pipeline.optics.stokes import degree
     from pipeline.shading import latlong
     from stages.train.evaluate import psnr
     from stages.train.render_view import mean_normals
@@ -114,7 +115,8 @@ def figures(trainer: Any, sources: list[Any], truth: list[Any], folder: Path) ->
             target = torch.as_tensor(true.image.reshape(-1, *true.image.shape[2:]))
             values.setdefault("psnr_srgb", []).append(psnr(stokes[:, 0], target[:, 0], 1.0))
             values.setdefault("psnr_foreground", []).append(psnr(stokes[full, 0], target[full, 0], 1.0))
-            dolp = [torch.hypot(*s.mean(-1)[full, 1:].T) / s.mean(-1)[full, 0].clamp_min(1e-4) for s in (stokes, target)]
+            greys = [s.mean(-1)[full] for s in (stokes, target)]
+            dolp = [degree(torch.cat((s[:, :1].clamp_min(1e-4), s[:, 1:]), -1)) for s in greys]
             values.setdefault("dolp_mae", []).append(float((dolp[0] - dolp[1]).abs().mean()))
             path = folder / "gt" / "normal" / f"{k:03d}.exr"
             if path.exists():

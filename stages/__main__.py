@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from pipeline.capture import Capture
@@ -23,7 +23,21 @@ def inspect(capture: Capture, steps: Sequence[Step], folder: Path, found: Mappin
     return write_inspection(capture, steps, folder, found, disk_estimate(capture, running))
 
 
-PROGRAM = Program(STAGES, module="stages", report="metrics", inspect=inspect)
+def compare(paths: Sequence[Path], output: Path) -> Path:
+    """Write the page that shows results side by side to `output`; returns its path. Raises UserError."""
+    from stages.metrics.comparison.page import compare as write_comparison
+
+    return write_comparison(paths, output)
+
+
+def run_tradeoff(capture: Path, dataset: Path, params: str, envs: str, say: Callable[[str], None]) -> Path:
+    """Try a capture with other parameters beside its dataset; returns the page's path. Raises UserError."""
+    from stages.metrics.tradeoff.run import run_tradeoff as run
+
+    return run(capture, dataset, params, envs, say)
+
+
+PROGRAM = Program(STAGES, module="stages", report="metrics", inspect=inspect, compare=compare, tradeoff=run_tradeoff)
 
 
 def main() -> None:

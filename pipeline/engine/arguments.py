@@ -18,6 +18,8 @@ COMMANDS = {
     "plan": "print what `all` would run, what is done already, and why",
     "inspect": "write a page that shows what was understood of a capture, before anything long runs",
     "report": "write the report of the results in use and say where it lies; runs no other stage",
+    "compare": "show results side by side, figures and pictures: datasets, or versions of them (DATASET/metrics/VERSION)",
+    "tradeoff": "run a capture with other parameters, for up to ten times its own time: error against seconds",
     "verify": "read everything in use against its digests and name what is damaged or missing (then the exit status is 1)",
     "gc": "remove versions that nothing in use was made from, and unfinished work; lists them, and asks unless --yes is given",
 }
@@ -44,6 +46,8 @@ def parse(stages: Mapping[str, Stage], arguments: Sequence[str]) -> argparse.Nam
     if unknown:
         flag = next((a for a in unknown if a.startswith("-")), unknown[0])
         raise _unknown(flag, options.command, stages)
+    if options.command == "compare":
+        return options
     if options.jobs < 1:
         raise UserError(_spoken("--jobs"), f"{options.jobs} is not a whole number from 1 on", "as in 2")
     return options
@@ -95,6 +99,9 @@ def _parser(stages: Mapping[str, Stage]) -> argparse.ArgumentParser:
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for name, text in COMMANDS.items():
         sub = commands.add_parser(name, help=text, description=text, epilog=EPILOG)
+        if name == "compare":
+            _compared(sub)
+            continue
         _common(sub)
         for switch, meaning in SWITCHES.get(name, {}).items():
             sub.add_argument(switch, action="store_true", help=meaning)
@@ -113,6 +120,11 @@ def _parser(stages: Mapping[str, Stage]) -> argparse.ArgumentParser:
             flag = "--" + f.name.replace("_", "-")
             group.add_argument(flag, dest=f"p_{f.name}", default=None, metavar="VALUE", help=note)
     return parser
+
+
+def _compared(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("datasets", nargs="+", help="two or more datasets, or versions of their metrics")
+    parser.add_argument("--out", default="comparison", help="the folder to write compare.html into [default: comparison]")
 
 
 def _common(parser: argparse.ArgumentParser) -> None:

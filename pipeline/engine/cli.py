@@ -1,4 +1,4 @@
-"""The `polarfield` command: `all`, one command per stage, `plan`, `inspect`, `report`, `verify`, `gc`."""
+"""The `polarfield` command: `all`, one command per stage, and those of `arguments.COMMANDS`."""
 
 from __future__ import annotations
 
@@ -38,18 +38,29 @@ Inspect = Callable[[Capture, Sequence[Step], Path, Mapping[str, State]], Path]
 """Write what was understood of a capture to a folder, with a plan and how its steps stand; returns the page's path."""
 
 
+Compare = Callable[[Sequence[Path], Path], Path]
+"""Write a page that shows results side by side into a folder; returns its path."""
+
+
+Tradeoff = Callable[[Path, Path, str, str, Callable[[str], None]], Path]
+"""Try a capture (first) with other parameters beside its dataset, given PARAMS and ENVS; returns the page's path."""
+
+
 @dataclass(frozen=True)
 class Program:
     """What a command line runs: this file knows no stage.
 
     `modules`: each stage's module by its name, in running order. `module`: `python -m MODULE STAGE ...` runs one stage in
-    a process of its own. `report`: the stage whose output the report is. `inspect` writes the page of `inspect`.
+    a process of its own. `report`: the stage whose output the report is. `inspect` writes the page of `inspect`,
+    `compare` that of `compare`, `tradeoff` tries out other parameters.
     """
 
     modules: Mapping[str, str]
     module: str
     report: str
     inspect: Inspect
+    compare: Compare | None = None
+    tradeoff: Tradeoff | None = None
 
 
 @dataclass(frozen=True)
@@ -93,6 +104,9 @@ def main(program: Program, arguments: Sequence[str]) -> int:
 def _run(program: Program, arguments: Sequence[str]) -> int:
     stages = load_stages(program.modules)
     options = parse(stages, arguments)
+    if options.command == "compare" and program.compare is not None:
+        print(f"comparison: {program.compare([Path(p) for p in options.datasets], Path(options.out))}")
+        return 0
     if options.command in ("gc", "verify"):
         return {"gc": collect, "verify": verify}[options.command](options, stages)
     call = _call(program, options, stages)
@@ -100,6 +114,10 @@ def _run(program: Program, arguments: Sequence[str]) -> int:
         return _show(call)
     if options.command == "report":
         return _report(call)
+    if options.command == "tradeoff" and program.tradeoff is not None:
+        texts = call.settings.params_text(), call.settings.envs_text()
+        print(f"tradeoff: {program.tradeoff(call.capture.root, call.dataset.root, *texts, call.progress.say)}")
+        return 0
     call.dataset.prepare()
     with call.dataset.in_use():
         steps = make_plan(call.capture, stages, call.settings.parameters, call.capture.environments, call.dataset.digests)

@@ -13,6 +13,7 @@ from pipeline.geometry.axes import nearest_to_lines
 if TYPE_CHECKING:
     from pipeline.geometry.cameras import Camera
 
+
 def looked_at(cameras: Iterable[Camera]) -> NDArray[np.float64]:
     """The point [3] nearest to all viewing axes; the centres' mean where the axes are parallel."""
     listed = list(cameras)

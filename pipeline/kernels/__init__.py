@@ -12,6 +12,10 @@ and so on (`freshness`). If any of them changes, the name changes and the kernel
 not count, and code of equal sources is shared whatever checkout it came from. The same digest names the object files of
 kernels that run without numba (`native`). What a process compiles after one of its sources was edited, it keeps to itself.
 
+Freshly compiled or loaded, a kernel gives the same bits: it holds its own copies of what it calls (`linking`). One case is not
+mended: with `parallel=True`, the light tree's gradient in the viewing direction still differs in its last bits between the
+process that compiles it and those that load it; compiled without, it does not.
+
 What the rule cannot see, so do not do it: constants read from data files, modules imported by a computed name, a module that
 another one changes from outside. Two kernels of one file must not share a qualified name (`kernel` refuses the second).
 

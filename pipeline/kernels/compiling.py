@@ -10,7 +10,9 @@ from typing import Any
 
 import numba
 
-from pipeline.kernels import freshness, storage
+from pipeline.kernels import freshness, linking, storage
+
+linking.install()
 
 _NUMBAS_OWN = "UserProvidedCacheLocator,InTreeCacheLocator,UserWideCacheLocator,IPythonCacheLocator,ZipCacheLocator"
 _config: Any = numba.config  # its settings are made at run time

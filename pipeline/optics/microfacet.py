@@ -6,7 +6,7 @@ torch, jax.
 
 from __future__ import annotations
 
-from math import erf, exp, pi, sqrt
+from math import erfc, exp, pi, sqrt
 from typing import Any
 
 from array_api_compat import array_namespace
@@ -35,15 +35,17 @@ def beckmann_distribution(nh: Array, alpha: Array) -> Array:
     """Beckmann D(h) (1/sr): exp(-tan^2/alpha^2) / (pi alpha^2 cos^4)."""
     xp = array_namespace(nh, alpha)
     c2 = nh * nh
-    a2 = alpha * alpha
-    return xp.exp(-(1 - nh) * (1 + nh) / (c2 * a2)) / (pi * a2 * c2 * c2)
+    # The exponent's slope overflows before the exponential's 0 can take it back where its reciprocals are squared.
+    steep = 1 / (nh * alpha)
+    return xp.exp(-((1 - nh) * (1 + nh) * steep) * steep) * (steep * steep) / (pi * c2)
 
 
 def ggx_lambda(c: Array, alpha: Array) -> Array:
     """Smith's Lambda of GGX for a direction of cosine c > 0."""
     xp = array_namespace(c, alpha)
     tan2 = (1 - c) * (1 + c) / (c * c)
-    return (xp.sqrt(1 + alpha * alpha * tan2) - 1) / 2
+    x = alpha * alpha * tan2
+    return x / (2 * (1 + xp.sqrt(1 + x)))
 
 
 def beckmann_lambda(c: Array, alpha: Array) -> Array:
@@ -63,7 +65,7 @@ def beckmann_lambda_exact(c: float, alpha: float) -> float:
     if tan == 0:
         return 0.0
     a = 1 / (alpha * tan)
-    return (erf(a) - 1) / 2 + exp(-a * a) / (2 * a * sqrt(pi))
+    return exp(-a * a) / (2 * a * sqrt(pi)) - erfc(a) / 2
 
 
 DISTRIBUTIONS = {"ggx": ggx_distribution, "beckmann": beckmann_distribution}

@@ -7,7 +7,7 @@ from typing import Any
 
 from array_api_compat import array_namespace
 
-from .fresnel import reflectances, transmittances
+from .fresnel import amplitudes, transmittances
 from .stokes import polariser_row
 
 Array = Any
@@ -29,9 +29,9 @@ def polariser(theta: Array, extinction: float | Array = float("inf")) -> Array:
     and 1/e, scaled)."""
     xp = array_namespace(theta)
     first = polariser_row(theta, extinction)
-    k = 1 - 2 / (extinction + 1)
-    # Geometric mean of the principal transmittances, relative to their mean: 0 for an ideal polariser.
-    g = xp.sqrt(xp.maximum(1 - k * k + 0 * theta, 0 * theta)) / 2
+    # Geometric mean of the principal transmittances sqrt(1 - k^2)/2, relative to their mean: 0 for an ideal polariser.
+    root = extinction**0.5
+    g = 1 / (root + 1 / root) + 0 * theta
     c, s = xp.cos(2 * theta), xp.sin(2 * theta)
     a, b, half = first[..., 1], first[..., 2], first[..., 0]
     return _matrix(
@@ -59,10 +59,8 @@ def reflection(c: Array, eta: Array) -> Array:
     s1 of reflected unpolarised light is negative: it is polarised across the plane of incidence. Amplitudes
     are real outside total reflection; r_p r_s < 0 below Brewster's angle with these frames' handedness.
     """
-    xp = array_namespace(c, eta)
-    s, p = reflectances(c, eta)
-    brewster = (eta * eta + 1) * c * c - 1
-    return _diattenuator(p, s, xp.where(brewster > 0, 1.0, -1.0) * -xp.sqrt(s * p))
+    s, p = amplitudes(c, eta)
+    return _diattenuator(p * p, s * s, -s * p)
 
 
 def transmission(c: Array, eta: Array) -> Array:

@@ -15,20 +15,24 @@ Array = Any
 
 
 def degree(stokes: Array) -> Array:
-    """Degree of linear polarisation |(s1, s2)|/s0, [..., 3] -> [...]; 0 where s0 <= 0. Noise can take it
-    above 1."""
+    """Degree of linear polarisation |(s1, s2)|/s0, [..., 3] -> [...]; 0 where s0 <= 0 or
+    denormal. Noise can take it above 1."""
     xp = array_namespace(stokes)
-    s0 = stokes[..., 0]
-    lit = s0 > 0
-    length = xp.hypot(stokes[..., 1], stokes[..., 2])
-    return xp.where(lit, length / xp.where(lit, s0, xp.ones_like(s0)), xp.zeros_like(s0))
+    s0, s1, s2 = stokes[..., 0], stokes[..., 1], stokes[..., 2]
+    # Less than the smallest normal number is no light: the slope 1/s0 would overflow.
+    lit, polarised = s0 >= xp.finfo(s0.dtype).smallest_normal, (s1 != 0) | (s2 != 0)
+    # Divided first: the squares of faint light underflow. The length's slope is 0/0 without polarisation.
+    one = xp.ones_like(s0)
+    scale = xp.where(lit, s0, one)
+    length = xp.hypot(xp.where(polarised, s1 / scale, one), s2 / scale)
+    return xp.where(lit & polarised, length, xp.zeros_like(s0))
 
 
 def angle(stokes: Array) -> Array:
     """Angle of linear polarisation atan2(s2, s1)/2 in (-pi/2, pi/2] (rad), [..., 3] -> [...]; 0 for
     unpolarised light."""
     xp = array_namespace(stokes)
-    return xp.atan2(stokes[..., 2], stokes[..., 1]) / 2
+    return xp.atan2(stokes[..., 2], stokes[..., 1] + 0.0) / 2  # -0 + 0 is 0, where atan2 would say pi
 
 
 def angle_difference(a: Array, b: Array) -> Array:

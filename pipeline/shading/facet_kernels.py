@@ -10,7 +10,7 @@ import numpy as np
 from pipeline.kernels.compiling import kernel
 from pipeline.optics.microfacet import BECKMANN_FIT, BECKMANN_FIT_END
 
-from .shade_kernels import MATH
+from .cube_kernels import MATH
 
 _ZERO, _HALF, _ONE, _TWO = (np.float32(x) for x in (0, 0.5, 1, 2))
 _FIT_A, _FIT_B, _FIT_C, _FIT_D = (np.float32(x) for x in BECKMANN_FIT)

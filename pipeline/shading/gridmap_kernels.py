@@ -10,7 +10,7 @@ from numba import prange
 
 from pipeline.kernels.compiling import kernel
 
-from .shade_kernels import MATH, texels
+from .cube_kernels import MATH, texels
 
 _ONE, _ZERO = np.float32(1), np.float32(0)
 

@@ -161,7 +161,7 @@ class _Tree(torch.autograd.Function):
     def forward(
         ctx: Any, tree: LightTree, lobe: str, tolerance: float, *tensors: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        from . import light_tree_kernels as kernels
+        from . import light_tree_kernels
 
         shape = tree.shape
         arrays = [x.detach().contiguous().numpy() for x in tensors]
@@ -169,7 +169,7 @@ class _Tree(torch.autograd.Function):
         fixed = (*table, shape.resolution, float(tolerance), MOST_HALVINGS, lobe == "ggx")
         points = len(arrays[0])
         value, turned, total = torch.empty(points, 3), torch.empty(points, 2, 3), np.empty(points, np.float32)
-        kernel: Any = kernels.forward
+        kernel: Any = light_tree_kernels.forward
         kernel(*arrays, *fixed, value.numpy(), turned.numpy(), total)
         hidden = torch.as_tensor(np.flatnonzero(~(total > 0)))
         ahead = straight_ahead(tensors[0][hidden], tensors[1][hidden], shape.resolution)
@@ -179,13 +179,13 @@ class _Tree(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *gradients: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
-        from . import light_tree_kernels as kernels
+        from . import light_tree_kernels
         from .shade_kernels import chunks
 
         normal, view, roughness, ior, _, _, radiance = ctx.arrays
         tables = torch.zeros(chunks(len(normal)), *radiance.shape)
         new = [torch.empty(x.shape) for x in (normal, view, roughness, ior)]
-        kernel: Any = kernels.backward
+        kernel: Any = light_tree_kernels.backward
         given = [g.contiguous().numpy() for g in gradients]
         kernel(*ctx.arrays, *ctx.fixed, *ctx.sums, *given, *(x.numpy() for x in new), tables.numpy())
         hidden, ahead = ctx.straight

@@ -9,9 +9,10 @@ from pipeline.kernels.compiling import kernel
 
 from . import limits
 from .cube import AXES
+from .cube_kernels import MATH
 from .facet_kernels import polarisation
 from .light_tree_lobe import leaf_gradient, lobe_weight
-from .shade_kernels import MATH, surface_point
+from .shade_kernels import surface_point
 
 _AXES = AXES.astype(np.float32)
 _ZERO, _HALF, _ONE, _TWO, _FOUR = (np.float32(x) for x in (0, 0.5, 1, 2, 4))
@@ -61,8 +62,7 @@ def choose(n, v, nv, a2, ggx, place, angle, radius, child, first_root, size, tol
     steep = _ONE / np.sqrt(a2)
     end, bend = a2 * _END, tolerance * np.float32(0.25)
     for root in range(first_root, len(child)):
-        top = 1
-        stack[0, 0], stack[0, 1] = root, 0
+        top, stack[0, 0], stack[0, 1] = 1, root, 0
         while top > 0:
             top -= 1
             node, depth, a, b = stack[top, 0], stack[top, 1], stack[top, 2], stack[top, 3]

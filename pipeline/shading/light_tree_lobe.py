@@ -6,8 +6,8 @@ import numpy as np
 
 from pipeline.kernels.compiling import kernel
 
+from .cube_kernels import MATH
 from .facet_kernels import masking, masking_slopes, polarisation, reflectance, reflectance_slopes
-from .shade_kernels import MATH
 
 _ZERO, _HALF, _ONE, _TWO, _FOUR = (np.float32(x) for x in (0, 0.5, 1, 2, 4))
 _TINY = np.float32(1e-6)

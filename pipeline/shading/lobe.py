@@ -24,9 +24,10 @@ from pipeline.optics.model_names import MIRRORS
 from pipeline.optics.stokes import surface_pattern
 
 from . import limits
+from .cube_kernels import MATH, add, direction_gradient, fetch, texels
 from .facet_kernels import masking, polarisation, reflectance
 from .prefilter import LightField
-from .shade_kernels import MATH, add, chunks, direction_gradient, fetch, level_below, surface_point, texels
+from .shade_kernels import chunks, level_below, surface_point
 from .splitsum import half_vectors
 
 # Share of the width left to the looked-up level, by number of rings: about the facets' spacing.

@@ -17,13 +17,12 @@ from pipeline.optics.fresnel import hemispherical_transmittance
 from pipeline.optics.microfacet import MIN_ROUGHNESS
 from pipeline.optics.sphere import cube_solid_angles
 
-from . import prefilter_kernels as kernels
-from . import splitsum
+from . import prefilter_kernels, splitsum
 from .cube import AXES, cube_directions, extended_size, lookup, padded_indices
 from .light_tree import LightTree, light_tree
 from .symmetry import SymmetricMap, representatives
 
-LOBES = {"ggx": kernels.GGX, "beckmann": kernels.BECKMANN}
+LOBES = {"ggx": prefilter_kernels.GGX, "beckmann": prefilter_kernels.BECKMANN}
 # Roughness of the levels; between them radiance is interpolated linearly.
 ROUGHNESSES = (MIN_ROUGHNESS, 0.2, 0.3, 0.42, 0.55, 0.7, 0.85, 1.0)
 # A level has at least this many texels across its lobe's full width at half maximum (up to the source's).
@@ -133,10 +132,10 @@ def level_resolution(roughness: float, limit: int) -> int:
 @lru_cache(maxsize=4)
 def _build(resolution: int, lobe: str) -> tuple[SymmetricMap, tuple[Level, ...]]:
     sizes = pyramid_sizes(resolution)
-    entering = float(hemispherical_transmittance(np.asarray(kernels.REFERENCE_IOR)))
+    entering = float(hemispherical_transmittance(np.asarray(prefilter_kernels.REFERENCE_IOR)))
     diffuse = min(resolution, DIFFUSE_RESOLUTION)
     wanted = [(LOBES[lobe], r**2, level_resolution(r, resolution), 1.0) for r in ROUGHNESSES]
-    wanted += [(kernels.COSINE, 1.0, diffuse, np.pi), (kernels.TRANSMITTED, 1.0, diffuse, np.pi * entering)]
+    wanted += [(prefilter_kernels.COSINE, 1.0, diffuse, np.pi), (prefilter_kernels.TRANSMITTED, 1.0, diffuse, np.pi * entering)]
     blocks, levels, start = [], [], 0
     for kind, alpha, size, total in wanted:
         blocks.append(_rows(kind, alpha, size, total, sizes))
@@ -174,10 +173,10 @@ def _rows(kind: int, alpha: float, size: int, total: float, sizes: list[int]) ->
     """Weights of one level at the representatives of its texels, which sum to `total`."""
     offsets = np.concatenate(([0], np.cumsum([6 * n * n for n in sizes])))
     directions = cube_directions(size).reshape(-1, 3)[representatives(size)[0]]
-    few = size <= kernels.FEW and kind != kernels.COSINE  # the plain cosine only serves the option "schlick"
-    accept = kernels.ACCEPT_FEW if few else kernels.ACCEPT
+    few = size <= prefilter_kernels.FEW and kind != prefilter_kernels.COSINE  # plain cosine: for "schlick" alone
+    accept = prefilter_kernels.ACCEPT_FEW if few else prefilter_kernels.ACCEPT
     where = (kind, float(alpha), accept, directions, AXES, sizes[0], len(sizes), offsets)
-    starts = np.concatenate(([0], np.cumsum(kernels.count_rows(*where))))
+    starts = np.concatenate(([0], np.cumsum(prefilter_kernels.count_rows(*where))))
     columns, values = np.empty(starts[-1], np.int32), np.empty(starts[-1])
-    kernels.fill_rows(*where, total, starts, columns, values)
+    prefilter_kernels.fill_rows(*where, total, starts, columns, values)
     return csr_matrix((values, columns, starts), shape=(len(directions), offsets[-1]))

@@ -9,26 +9,21 @@ import numpy as np
 from numba import get_num_threads, prange
 
 from pipeline.kernels.compiling import kernel
-from pipeline.optics.fresnel import HEMISPHERICAL, HEMISPHERICAL_RANGE
+from pipeline.optics.fresnel import HEMISPHERICAL, HEMISPHERICAL_RANGE, HEMISPHERICAL_STEP, MIN_EXCESS
 
 from . import limits, splitsum
-from .cube import AXES
+from .cube_kernels import MATH, add, direction_gradient, fetch, mirrored_texels, texels
 from .prefilter_kernels import REFERENCE_IOR
 
-_AXES = AXES.astype(np.float32)
 _HEMISPHERICAL = np.array(HEMISPHERICAL, np.float32)
-_CENTRE = np.float32(sum(HEMISPHERICAL_RANGE) / 2)
-_HALF = np.float32((HEMISPHERICAL_RANGE[1] - HEMISPHERICAL_RANGE[0]) / 2)
+_HEMISPHERICAL_STEP = np.float32(HEMISPHERICAL_STEP)
+_MIN_EXCESS, _MAX_EXCESS = np.float32(MIN_EXCESS), np.float32(HEMISPHERICAL_RANGE[1] - 1)
 _LOW_IOR = np.float32(splitsum.IOR_RANGE[0])
 _IOR_STEP = np.float32((splitsum.IOR_NODES - 1) / (splitsum.IOR_RANGE[1] - splitsum.IOR_RANGE[0]))
 _IORS, _ROUGHS, _COSINES = splitsum.IOR_NODES, splitsum.ROUGHNESS_NODES, splitsum.COSINE_NODES
 _ONE, _TWO, _HALF_ONE, _ZERO = np.float32(1), np.float32(2), np.float32(0.5), np.float32(0)
 _MIN_COSINE, _MIN_IOR = np.float32(limits.MIN_COSINE), np.float32(limits.MIN_IOR)
 _MIN_ROUGHNESS, _MAX_ROUGHNESS = np.float32(limits.MIN_ROUGHNESS), np.float32(limits.MAX_ROUGHNESS)
-_TINY = np.float32(1e-9)
-# Everything of fastmath but the licence to ignore NaN and infinity: bad pixels must not become bad indices.
-MATH = {"nsz", "arcp", "contract", "afn", "reassoc"}
-
 
 # Fewer pixels than this are not worth a thread's own table of gradients.
 _CHUNK = 1024
@@ -46,69 +41,6 @@ def surface_point(normal, view, roughness, ior, p):
     v = (view[p, 0], view[p, 1], view[p, 2])
     r = min(max(roughness[p], _MIN_ROUGHNESS), _MAX_ROUGHNESS)
     return n, v, n[0] * v[0] + n[1] * v[1] + n[2] * v[2], r, max(ior[p], _MIN_IOR)
-
-
-@kernel(fastmath=MATH, error_model="numpy")
-def texels(dx, dy, dz, size, index, base):
-    """Where a direction falls: face, (u, v), 1/major, fractions (s, t) and the four rows of the extended table."""
-    ax, ay, az = abs(dx), abs(dy), abs(dz)
-    if ax >= ay and ax >= az:
-        face = 1 if dx < 0 else 0
-        major = ax
-    elif ay >= az:
-        face = 3 if dy < 0 else 2
-        major = ay
-    else:
-        face = 5 if dz < 0 else 4
-        major = az
-    inverse = _ONE / max(major, _TINY)
-    u = (dx * _AXES[face, 1, 0] + dy * _AXES[face, 1, 1] + dz * _AXES[face, 1, 2]) * inverse
-    v = (dx * _AXES[face, 2, 0] + dy * _AXES[face, 2, 1] + dz * _AXES[face, 2, 2]) * inverse
-    half = _HALF_ONE * np.float32(size)
-    s = (u + _ONE) * half + _HALF_ONE
-    t = (v + _ONE) * half + _HALF_ONE
-    i = min(max(int(s), 0), size)
-    j = min(max(int(t), 0), size)
-    row = base + (face * (size + 2) + j) * (size + 2) + i
-    below = row + size + 2
-    return (
-        face, u, v, inverse, s - np.float32(i), t - np.float32(j),
-        index[row], index[row + 1], index[below], index[below + 1],
-    )  # fmt: skip
-
-
-@kernel(fastmath=MATH, error_model="numpy")
-def fetch(packed, start, where, k):
-    """Channel k at a lookup, and its slopes in s and t."""
-    _, _, _, _, s, t, a, b, c, d = where
-    a, b, c, d = packed[start + a, k], packed[start + b, k], packed[start + c, k], packed[start + d, k]
-    top, bottom = a + (b - a) * s, c + (d - c) * s
-    return top + (bottom - top) * t, (b - a) * (_ONE - t) + (d - c) * t, bottom - top
-
-
-@kernel(fastmath=MATH, error_model="numpy")
-def add(packed, start, where, k, value):
-    """Adjoint of `fetch` in the table."""
-    _, _, _, _, s, t, a, b, c, d = where
-    packed[start + a, k] += value * (_ONE - s) * (_ONE - t)
-    packed[start + b, k] += value * s * (_ONE - t)
-    packed[start + c, k] += value * (_ONE - s) * t
-    packed[start + d, k] += value * s * t
-
-
-@kernel(fastmath=MATH, error_model="numpy")
-def direction_gradient(where, size, gs, gt):
-    """Gradient in the direction of gradients in s and t."""
-    face, u, v, inverse = where[0], where[1], where[2], where[3]
-    gu = gs * _HALF_ONE * np.float32(size) * inverse
-    gv = gt * _HALF_ONE * np.float32(size) * inverse
-    gn = -(gu * u + gv * v)
-    n, a, b = _AXES[face, 0], _AXES[face, 1], _AXES[face, 2]
-    return (
-        gu * a[0] + gv * b[0] + gn * n[0],
-        gu * a[1] + gv * b[1] + gn * n[1],
-        gu * a[2] + gv * b[2] + gn * n[2],
-    )
 
 
 @kernel(fastmath=MATH, error_model="numpy")
@@ -136,14 +68,15 @@ def _surface(c, e):
 @kernel(fastmath=MATH, error_model="numpy")
 def _entering(e):
     """Hemispherical transmittance and its slope."""
-    x = (e - _CENTRE) / _HALF
-    inside = x <= _ONE
-    x = min(x, _ONE)
+    excess = min(max(e - _ONE, _ZERO), _MAX_EXCESS)
+    root = np.sqrt(max(excess, _MIN_EXCESS))
+    x = root * _HEMISPHERICAL_STEP - _ONE
     value, slope = _ZERO, _ZERO
     for k in range(len(_HEMISPHERICAL) - 1, -1, -1):
         slope = slope * x + value
         value = value * x + _HEMISPHERICAL[k]
-    return value, (slope / _HALF if inside else _ZERO)
+    inside = e - _ONE <= _MAX_EXCESS
+    return _ONE - excess * value, (-value - _HALF_ONE * root * _HEMISPHERICAL_STEP * slope if inside else _ZERO)
 
 
 @kernel(fastmath=MATH, error_model="numpy")
@@ -188,16 +121,6 @@ def level_below(r, nodes):
     return k, (r - nodes[k]) / width, _ONE / width
 
 
-@kernel(fastmath=MATH, error_model="numpy")
-def _mirrored_texels(h, vh, v, level, sizes, index, bases):
-    """Where the mirror direction of view v at half vector h falls, in a level and in the next; vh: their cosine."""
-    d0, d1, d2 = _TWO * vh * h[0] - v[0], _TWO * vh * h[1] - v[1], _TWO * vh * h[2] - v[2]
-    return (
-        texels(d0, d1, d2, sizes[level], index, bases[level]),
-        texels(d0, d1, d2, sizes[level + 1], index, bases[level + 1]),
-    )
-
-
 @kernel(parallel=True, fastmath=MATH, error_model="numpy")
 def forward(
     normal, view, albedo, roughness, ior, frame_x, frame_y, packed, nodes, sizes, starts, index, bases, table,
@@ -216,7 +139,7 @@ def forward(
         n0, n1, n2 = n
         c = min(max(facing, _MIN_COSINE), _ONE)
         level, fraction, _ = level_below(r, nodes)
-        lower, upper = _mirrored_texels(n, facing, v, level, sizes, index, bases)
+        lower, upper = mirrored_texels(n, facing, v, level, sizes, index, bases)
         around = texels(n0, n1, n2, sizes[last], index, bases[last])
         t, _, _, body, _, _ = _surface(c, e)
         leaving = t * _entering(e)[0] * scale
@@ -270,7 +193,7 @@ def backward(
             c = min(max(facing, _MIN_COSINE), _ONE)
             two = _TWO * facing
             level, fraction, slope = level_below(r, nodes)
-            lower, upper = _mirrored_texels(n, facing, v, level, sizes, index, bases)
+            lower, upper = mirrored_texels(n, facing, v, level, sizes, index, bases)
             around = texels(n0, n1, n2, sizes[last], index, bases[last])
             t, t_c, t_e, body, body_c, body_e = _surface(c, e)
             enter, enter_e = _entering(e)

@@ -19,10 +19,11 @@ from pipeline.optics import fresnel, microfacet
 
 Float = NDArray[np.float64]
 
-# Grid: roughness 0..1, cosine 0..1 uniform in its square root (the grazing end bends most), eta 1..2.6.
-ROUGHNESS_NODES = 25
+# Grid: roughness 0..1, cosine 0..1 uniform in its square root (the grazing end bends most), eta 1..2.6. Between nodes rho is
+# off by 0.3 % at most from n.v = 0.05 and eta = 1.3 on (0.7 % with 25 nodes in roughness), beta by 0.4 % (1.2 % with 9 in eta).
+ROUGHNESS_NODES = 33
 COSINE_NODES = 33
-IOR_NODES = 9
+IOR_NODES = 17
 IOR_RANGE = (1.0, 2.6)
 # Quadrature over the half vector: Gauss nodes in the lobe's own measure, azimuths over half a circle (symmetry).
 LOBE_NODES = 32

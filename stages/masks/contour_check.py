@@ -15,6 +15,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.optics.stokes import angle, degree
+
 RING = (1.5, 6.0)
 """Pixels inside the outline: past the mixed edge, before the normal turns to the viewer."""
 MIN_PIXELS = 400
@@ -41,12 +43,9 @@ def contour_evidence(stokes: list[NDArray[np.float32]], masks: list[NDArray[np.b
         down, right = np.gradient(smooth)
         ring = (distance > RING[0]) & (distance < RING[1])
         normal = np.arctan2(down[ring], -right[ring])  # outward, y up: the distance grows inwards and rows go down
-        s1, s2 = image[..., 1][ring], image[..., 2][ring]
-        polarised = np.hypot(s1.astype(float), s2)  # bad pixels of 1e30 and more are in some files
-        twice = np.exp(1j * np.arctan2(s2, s1))  # exp(2i AoLP)
-        light = image[..., 0][ring]
-        relative = np.divide(polarised, light, out=np.ones_like(polarised), where=light > polarised)  # no more than 1
-        relative[~(np.isfinite(polarised) & np.isfinite(light) & (light > 0))] = 0
+        rim = image[ring].astype(np.float64)  # bad pixels of 1e30 and more are in some files
+        rim[~np.isfinite(rim).all(-1)] = 0
+        relative, twice = np.minimum(degree(rim), 1), np.exp(2j * angle(rim))
         for k, turn in enumerate((twice, np.conj(twice))):
             sums[k] += complex((relative * turn**2 * np.exp(-4j * normal)).sum())
         weight += float(relative.sum())

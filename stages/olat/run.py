@@ -28,15 +28,15 @@ from stages.olat.maps.map_files import MapWriter
 from stages.olat.maps.preview import write_preview
 from stages.olat.parameters import OlatParameters, every
 from stages.olat.pixel_fit.fit_options import SPECULAR_FITS, FitOptions
+from stages.olat.pixel_fit.lobe_choice import CANDIDATES, choose
 from stages.olat.pixel_fit.many_pixels import fit, load, ready
-from stages.olat.pixel_fit.result_layout import FLAG, GOOD, RESIDUAL, map_slices
+from stages.olat.pixel_fit.result_layout import map_slices
 from stages.olat.reading.frame_reader import Samples, ahead
 from stages.olat.reading.misregistration import WARN_PX, Misregistration
 from stages.olat.reading.rig_cameras import PILOT, CameraJob, decoded
 from stages.olat.reading.scanline_bands import Band, parts_of
 from stages.olat.reading.stream import Lanes, Piece
 
-CANDIDATES = ("ward", "beckmann", "ggx")  # lobes that `auto` chooses from
 PRIOR = (1 / np.radians(0.5)) ** 2  # n_s and n_d of one surface agree to about half a degree
 WIDTHS = {**dict.fromkeys(LOBES, "Beckmann/Ward widths"), "ggx": "GGX widths (alpha)"}  # what `sigma` is, for maps.json
 GAIN = 0.9
@@ -143,12 +143,9 @@ def choose_lobe(stage: StageRun, pilot: list[Piece], rig: LightTable, settings: 
         return fit(cross, parallel, view, rig, settings._replace(lobe=LOBES[name]), parameters.precision, points)[0]
 
     found = {name: rows_of(name) for name in CANDIDATES}
-    sound = np.all([rows[:, FLAG] == GOOD for rows in found.values()], 0)
-    residuals = np.stack([rows[sound, RESIDUAL] for rows in found.values()])
-    best = np.bincount(residuals.argmin(0), minlength=len(CANDIDATES)) if sound.any() else np.zeros(len(CANDIDATES), int)
-    count = max(int(sound.sum()), 1)
-    stage.note("lobe_pilot", {"pixels": int(sound.sum()), **{n: round(int(k) / count, 3) for n, k in zip(CANDIDATES, best)}})
-    return settings._replace(lobe=LOBES[CANDIDATES[int(best.argmax())]])
+    choice = choose(found)
+    stage.note("lobe_pilot", {"pixels": choice.pixels, **choice.shares})
+    return settings._replace(lobe=LOBES[choice.lobe])
 
 
 @dataclass

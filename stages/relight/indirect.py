@@ -160,7 +160,7 @@ def indirect_light(run: StageRun, model: ShadingModel) -> Indirect | None:
             reason = "next to nothing of the mesh hides any other part of it"
     if made is not None:
         reason = f"{kind}: the object occludes itself"
-    run.note("occlusion", {"run": made is not None, "reason": reason})
+    run.note("indirect", {"run": made is not None, "reason": reason})
     return made
 
 

@@ -32,7 +32,7 @@ SMALL = {
     "start_fraction": 1.0,
     "coarse_fraction": 1.0,
     "environment_resolution": 16,
-    "occlusion": False,
+    "indirect": "none",
     "mirror": "split",
     "densify": False,
     "concavities": "off",

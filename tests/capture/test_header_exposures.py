@@ -73,7 +73,6 @@ def test_mosaics_of_different_exposures(tmp_path):
         assert np.median(inner) == pytest.approx(0.3, rel=2e-2)
 
 
-
 def test_camera_raw_files_are_brought_to_one_exposure(tmp_path):
     (tmp_path / "images").mkdir()
     for i, e in enumerate((1, 1, 3)):

@@ -12,7 +12,7 @@ import pytest
 STAGES = ("count", "double", "relight", "metrics")
 
 
-def told(dataset: Path = Path("d")) -> dict[str, str]:
+def recorded(dataset: Path = Path("d")) -> dict[str, str]:
     table = json.loads((dataset / "in_use.json").read_text())
     assert table.pop("schema") == 1
     return table
@@ -73,7 +73,7 @@ def finished(command, capture) -> dict[str, str]:
 
 
 def test_the_file_and_the_links_tell_the_same(finished):
-    assert told() == finished
+    assert recorded() == finished
 
 
 @pytest.mark.parametrize("lose", [unlink_all, as_folders, as_text, without_file, without_work])
@@ -84,7 +84,7 @@ def test_a_copied_dataset_keeps_its_results_through_collection_and_runs(command,
     collected = command("gc", "--dataset", "d", "--yes")
     assert collected.status == 0 and {f"{s}/{k}" for s, k in finished.items()} == versions() < before
     again = command("all", "--dataset", "d")
-    assert again.status == 0 and again.ran == [] and told() == finished
+    assert again.status == 0 and again.ran == [] and recorded() == finished
     assert {stage: os.readlink(f"d/{stage}/current") for stage in STAGES} == finished
 
 
@@ -135,7 +135,7 @@ def test_without_symbolic_links_everything_works(command, capture, monkeypatch):
     monkeypatch.setattr(Path, "symlink_to", refuse)
     made = command("all", capture.root, "--dataset", "d")
     assert made.status == 0 and not list(Path("d").glob("*/current"))
-    assert made.out.splitlines()[-1] == f"report: d/metrics/{told()['metrics']}/report.html"
+    assert made.out.splitlines()[-1] == f"report: d/metrics/{recorded()['metrics']}/report.html"
     assert command("all", "--dataset", "d").ran == []
     assert command("all", "--dataset", "d", "--params", "count.factor=5").ran == ["count", "double", "relight", "metrics"]
     assert command("double", "--dataset", "d").status == 0
@@ -149,5 +149,5 @@ def test_a_key_that_is_a_path_is_not_followed(command, finished, tmp_path):
     link.symlink_to("../../outside")
     table = {"schema": 1, "count": "../../outside", "double": 7, "metrics": None}
     Path("d/in_use.json").write_text(json.dumps(table))
-    assert command("all", "--dataset", "d").ran == [] and told() == finished
+    assert command("all", "--dataset", "d").ran == [] and recorded() == finished
     assert os.readlink(link) == finished["count"] and list((tmp_path / "outside").iterdir()) == []

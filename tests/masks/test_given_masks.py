@@ -124,6 +124,7 @@ def test_bad_pixels_do_not_overflow_the_outline_check(views):
     stokes = rng.normal(0.2, 0.05, (96, 96, 3)).astype(np.float32)
     stokes[::7, ::5] = 1e38
     stokes[::11, ::3] = -1e38
+    stokes[1::13, ::3, 1] = np.nan
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         evidence = contour_evidence([stokes], [views.masks[0]])

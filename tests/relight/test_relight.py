@@ -109,7 +109,7 @@ def test_every_view_is_lit_and_black_outside_the_object(relit):
         assert (stokes[alpha == 1][:, 0] > 0).all()
         assert np.isfinite(stokes).all()
         assert (run.output / "sky" / f"{name}.png").exists()
-    assert run.facts["occlusion"]["run"] is False
+    assert run.facts["indirect"]["run"] is False
 
 
 @pytest.mark.slow
@@ -133,7 +133,7 @@ def test_self_occlusion_darkens_the_bowl_and_brightens_nothing_by_much(relit):
     free = read_stokes(relit().output / "sky" / "v1.exr")[:, :, 0]
     run = relit(occlusion=True)
     shadowed = read_stokes(run.output / "sky" / "v1.exr")[:, :, 0]
-    assert run.facts["occlusion"]["run"] is True
+    assert run.facts["indirect"]["run"] is True
     assert shadowed.sum() < 0.99 * free.sum()  # bounces give back most of what is shadowed
     assert (shadowed < 0.7 * free).any()
     assert (shadowed <= 1.3 * free + 0.02).all()
@@ -144,7 +144,7 @@ def test_every_kind_of_indirect_light_can_be_asked_for(relit):
     images = {}
     for kind in ("none", "gridmap", "sh", "traced"):
         run = relit(occlusion=True, indirect=kind)
-        assert run.facts["occlusion"]["run"] == (kind != "none")
+        assert run.facts["indirect"]["run"] == (kind != "none")
         images[kind] = read_stokes(run.output / "sky" / "v1.exr")[:, :, 0].sum(-1)
     shown = images["none"] > 0
     there = {kind: (image != images["none"])[shown].mean() for kind, image in images.items()}
@@ -154,8 +154,8 @@ def test_every_kind_of_indirect_light_can_be_asked_for(relit):
 
 
 def test_indirect_light_is_as_in_training_unless_it_is_named(relit):
-    assert relit(occlusion=True).facts["occlusion"]["reason"].startswith("traced")
-    assert relit().facts["occlusion"]["reason"] == "training saw no self-occlusion"
+    assert relit(occlusion=True).facts["indirect"]["reason"].startswith("traced")
+    assert relit().facts["indirect"]["reason"] == "training saw no self-occlusion"
 
 
 def test_harmonics_that_training_has_not_learnt_are_refused(relit):

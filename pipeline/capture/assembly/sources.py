@@ -23,6 +23,7 @@ from pipeline.formats.images import channel_names, image_size
 
 Camera_of = Callable[[Group], str]
 
+
 @dataclass(frozen=True)
 class Sources:
     """The views of a set of files; `kind` is "stokes_files", "stack", "mosaic" or "colour"; facts for the user.

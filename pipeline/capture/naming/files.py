@@ -13,9 +13,7 @@ from pipeline.formats.bare_arrays import ARRAY_SUFFIXES
 from pipeline.formats.images import image_size
 
 FLOAT_SUFFIXES = frozenset({".exr", ".hdr"})
-PHOTO_SUFFIXES = frozenset(
-    {".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp", ".tga", ".pgm", ".ppm", ".pnm", ".pfm", ".webp"}
-)
+PHOTO_SUFFIXES = frozenset({".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp", ".tga", ".pgm", ".ppm", ".pnm", ".pfm", ".webp"})
 RAW_SUFFIXES = frozenset(
     {".dng", ".nef", ".cr2", ".cr3", ".arw", ".raf", ".orf", ".rw2", ".pef", ".srw", ".3fr", ".iiq", ".nrw", ".kdc", ".dcr",
      ".crw", ".mrw", ".mef", ".mos", ".erf", ".rwl", ".sr2", ".srf", ".fff", ".x3f", ".gpr"}
@@ -160,14 +158,14 @@ def check_masks(masks: Mapping[str, Path], size_of: Callable[[str], tuple[int, i
 
 
 def polariser_priors(cameras: Iterable[str], config: CaptureConfig) -> dict[str, PolariserPrior]:
-    """What capture.toml tells of each physical camera's polariser; nothing told: angle unknown, to be optimised."""
+    """What capture.toml states of each physical camera's polariser; nothing stated: angle unknown, to be optimised."""
     out = {}
     for name in sorted(set(cameras)):
-        told = config.polarisers.get(name)
-        if told is None:
+        stated = config.polarisers.get(name)
+        if stated is None:
             out[name] = PolariserPrior()
         else:
-            out[name] = PolariserPrior(told.angle_deg, told.trusted and told.angle_deg is not None, told.extinction)
+            out[name] = PolariserPrior(stated.angle_deg, stated.trusted and stated.angle_deg is not None, stated.extinction)
     return out
 
 

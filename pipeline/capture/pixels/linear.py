@@ -18,9 +18,7 @@ from pipeline.errors import UserError
 from pipeline.formats.image_parts import Page
 
 
-def read_linear(
-    path: Path, radiometry: RadiometryConfig, sensor_data: bool = False, page: Page | None = None
-) -> LinearImage:
+def read_linear(path: Path, radiometry: RadiometryConfig, sensor_data: bool = False, page: Page | None = None) -> LinearImage:
     """Read any image file as linear radiance, float32 in the file's own orientation (EXIF rotation is not applied).
 
     `sensor_data`: a mosaic straight from the sensor, one channel of camera raw. 8-bit files are sRGB unless they are such,

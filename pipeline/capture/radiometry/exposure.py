@@ -57,9 +57,7 @@ class HeaderExposure:
 def exposure_of(spec: Any) -> HeaderExposure:
     """From an open image's header (OpenImageIO)."""
     speeds = ("Exif:PhotographicSensitivity", "Exif:ISOSpeedRatings", "Exif:ISOSpeed", "isoSpeed")
-    return HeaderExposure(
-        header_number(spec, "ExposureTime"), header_number(spec, *speeds), header_number(spec, "FNumber")
-    )
+    return HeaderExposure(header_number(spec, "ExposureTime"), header_number(spec, *speeds), header_number(spec, "FNumber"))
 
 
 def read_exposure(path: Path) -> HeaderExposure:
@@ -109,7 +107,7 @@ def even_out(
         line = (
             f"{low}: exposures differ between headers ({span}), and {count(silent, 'file')} ({some(p.name for p in silent)}) "
             "tell less than the others: nothing is divided out; state each in capture.toml: "
-            f"radiometry.exposure_s = {{ \"{low.stem}\" = {known[low].seconds or 1:g}, ... }}"
+            f'radiometry.exposure_s = {{ "{low.stem}" = {known[low].seconds or 1:g}, ... }}'
         )
         return ExposureFindings({}, warnings=(line,))
     if radiometry.exif_exposure is None and _contradicted(paths, ratios, brightness):

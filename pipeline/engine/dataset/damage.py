@@ -107,7 +107,7 @@ def damaged_records(dataset: Dataset, stages: Iterable[str]) -> Iterator[Damage]
 
 def _damaged_in_use(dataset: Dataset, stages: list[str]) -> Iterator[Damage]:
     """in_use.json, and links, that contradict each other or name what is not there."""
-    told, path = dataset.in_use_table.told(), dataset.in_use_table.path
+    recorded, path = dataset.in_use_table.recorded(), dataset.in_use_table.path
     wrong = []
     if path.exists():
         text = path.read_bytes().decode(errors="replace")
@@ -115,12 +115,12 @@ def _damaged_in_use(dataset: Dataset, stages: list[str]) -> Iterator[Damage]:
             wrong.append("is not what was written")
         for stage in stages:
             linked = dataset.in_use_table.linked(stage)
-            here = [key for key in (told.get(stage), linked) if key and dataset.read(stage, key)]
+            here = [key for key in (recorded.get(stage), linked) if key and dataset.read(stage, key)]
             link = dataset.root / stage / LINK
-            if told.get(stage) != linked and here:
+            if recorded.get(stage) != linked and here:
                 if here == [linked]:
                     wrong.append(f"tells of no version of {stage} that is there")
                 elif link.is_symlink():
-                    yield Damage(link, f"names {os.readlink(link)}, and {path.name} {told[stage]}", link)
+                    yield Damage(link, f"names {os.readlink(link)}, and {path.name} {recorded[stage]}", link)
     if wrong:
         yield Damage(path, wrong[0], path)

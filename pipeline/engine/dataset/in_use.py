@@ -1,4 +1,4 @@
-"""Which version of each stage is in use: told by DATASET/in_use.json and by the links STAGE/current, either of them enough.
+"""Which version of each stage is in use: recorded by DATASET/in_use.json and by the links STAGE/current, either of them enough.
 
 Links are lost by zip, by clouds, on FAT and SMB, and become folders by `cp -rL` or `rsync -rL`; the file survives these.
 """
@@ -30,8 +30,8 @@ class InUse:
         self.root = root
         self.path = root / FILE
 
-    def told(self) -> dict[str, str]:
-        """What in_use.json tells: stage to key; nothing where it is missing or damaged."""
+    def recorded(self) -> dict[str, str]:
+        """What in_use.json records: stage to key; nothing where it is missing or damaged."""
         table = read_object(self.path) or {}
         return {k: v for k, v in table.items() if isinstance(v, str) and KEY.fullmatch(v)}
 
@@ -53,15 +53,15 @@ class InUse:
 
     def keys(self, stage: str) -> list[str]:
         """Every key that either tells, the file's first: it is written first."""
-        return list(dict.fromkeys(k for k in (self.told().get(stage), self.linked(stage)) if k))
+        return list(dict.fromkeys(k for k in (self.recorded().get(stage), self.linked(stage)) if k))
 
     def put(self, stage: str, key: str) -> None:
         """Put a version to use: the file, then the link, each at once. Where links cannot be, the file tells it alone."""
-        if self.told().get(stage) != key:
+        if self.recorded().get(stage) != key:
             with open_lock(self.root / ".work" / "in_use_file.lock") as lock:
                 lock.take(alone=True)
                 links = {p.name: k for p in self.root.iterdir() if p.is_dir() and (k := self.linked(p.name))}
-                table = {"schema": SCHEMA, **dict(sorted({**links, **self.told(), stage: key}.items()))}
+                table = {"schema": SCHEMA, **dict(sorted({**links, **self.recorded(), stage: key}.items()))}
                 write_whole(self.path, in_use_text(table))
         link = self.root / stage / LINK
         if link.is_symlink() and os.readlink(link) == key:

@@ -182,9 +182,7 @@ def _frame(
 class _Gathered:
     """Frames as they are written, and what is remembered of them."""
 
-    def __init__(
-        self, output: Path, names: dict[Path, str], balance: NDArray[np.float32], half: bool, floats: bool
-    ) -> None:
+    def __init__(self, output: Path, names: dict[Path, str], balance: NDArray[np.float32], half: bool, floats: bool) -> None:
         self.output, self.names, self.balance, self.half = output, names, balance, half
         self.search = PlateauSearch() if floats else None  # integers say where they end
         self.levels: list[float] = []

@@ -35,6 +35,11 @@ FIGURES = {
     "ior_error": Figure("Index of refraction, error", "", 3),
     "roughness_mean": Figure("Roughness, mean", "", 3),
     "roughness_error": Figure("Roughness, error", "", 3),
+    "albedo_rel_error": Figure("Albedo, median error", "%", 1, 100),
+    "albedo_rel_error_scaled": Figure("Albedo at best scale, median error", "%", 1, 100),
+    "roughness_map_error": Figure("Roughness map, mean error", "", 3),
+    "ior_map_error": Figure("Index of refraction map, mean error", "", 3),
+    "holes_pct": Figure("Holes in the object", "%", 3),
     "env_psnr": Figure("Environment, PSNR", "dB"),
     "env_psnr_scaled": Figure("Environment, PSNR at best scale", "dB"),
     "env_log_correlation": Figure("Environment, log correlation", "", 3),
@@ -74,6 +79,9 @@ FIGURES = {
     "saturated_fraction": Figure("Saturated samples", "%", 3, 100),
     "noise": Figure("Noise of a sample", "", 5),
     "coverage": Figure("Object in the frame", "%", 1, 100),
+    "wall_s": Figure("Wall time", "s", 1),
+    "cpu_s": Figure("Processor time", "s", 1),
+    "peak_rss_mb": Figure("Peak memory", "MB", 0),
     "condition": Figure("Condition of the polariser angles", "", 1),
 }
 HEADLINES = {

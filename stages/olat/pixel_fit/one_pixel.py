@@ -91,10 +91,8 @@ def _in_use(weight):
 
 @kernel(error_model="numpy")
 def _gather(workspace, w, area, o, n_d, solved):
-    """Lights before the surface, packed: their directions, samples and whether they are seen; where no normal was found, all
-    but those opposite the view, whose half vector is 0."""
-    n = 0
-    toward, least = (n_d, 0.0) if solved else (o, OPPOSITE)
+    """Lights before the surface, packed; where no normal was found, those not opposite the view (there h = 0)."""
+    n, (toward, least) = 0, ((n_d, 0.0) if solved else (o, OPPOSITE))
     for k in range(workspace.diffuse.size):
         p = toward[0] * w[0, k] + toward[1] * w[1, k] + toward[2] * w[2, k]
         if p > least and workspace.ok[k] > 0:

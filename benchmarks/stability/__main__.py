@@ -1,0 +1,93 @@
+"""python -m benchmarks.stability: run every part, keep each case as it ends, write docs/stability.md, exit 1 on a failure.
+
+Cases that this commit has already run are not run again (--fresh: all are). --parts chooses some.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import platform
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import asdict
+from datetime import date
+from pathlib import Path
+
+from benchmarks.stability import functions, fused, light_stage, repeats, whole_runs
+from benchmarks.stability.page import TITLES, page
+from benchmarks.stability.verdicts import Row
+
+ROOT = Path(__file__).parents[2]
+RESULTS = ROOT / "benchmarks" / "results" / "stability.json"
+PAGE = ROOT / "docs" / "stability.md"
+
+
+def main() -> int:
+    """Run, write, and say."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--parts", nargs="*", choices=list(TITLES), default=list(TITLES))
+    parser.add_argument("--fresh", action="store_true", help="run again what this commit has already run")
+    parser.add_argument("--work", type=Path, default=ROOT / "build" / "stability", help="where captures and datasets lie")
+    options = parser.parse_args()
+    stamp = {"commit": _commit(), "machine": _machine(), "date": f"{date.today():%Y-%m-%d}"}
+    stored = json.loads(RESULTS.read_text()) if RESULTS.is_file() else {"rows": []}
+    same = stored.get("commit") == stamp["commit"] and not options.fresh
+    kept = [Row(**row) for row in stored["rows"] if same or row["part"] not in options.parts]
+    for part in options.parts:
+        done = [row for row in kept if row.part == part]
+        if done and stored.get("finished", {}).get(part) == stamp["commit"] and not options.fresh:
+            continue
+        kept = [row for row in kept if row.part != part]
+        for row in PARTS[part](options.work):
+            kept.append(row)
+            _write(kept, stamp, stored)
+            print(f"{'sound' if row.sound else 'FAILS'}  {row.part}: {row.name}, {row.setting}  {row.why}", flush=True)
+        stored.setdefault("finished", {})[part] = stamp["commit"]
+        _write(kept, stamp, stored)
+    order = list(TITLES)
+    kept.sort(key=lambda row: order.index(row.part))
+    PAGE.write_text(page(kept, stamp))
+    failed = sum(not row.sound for row in kept)
+    print(f"{len(kept)} cases, {failed} fail: {PAGE}")
+    return 1 if failed else 0
+
+
+def _write(rows: list[Row], stamp: dict[str, str], stored: dict) -> None:
+    out = {**stamp, "finished": stored.get("finished", {}), "rows": [asdict(row) for row in rows]}
+    part = RESULTS.with_suffix(".part")
+    part.write_text(json.dumps(out, indent=1) + "\n")
+    part.replace(RESULTS)
+
+
+def _repeats(work: Path) -> Iterator[Row]:
+    captures = work / "tiny"
+    if not (captures / "stage").is_dir():
+        size = ["--size", "64", "--spp", "48", "--lights", "24"]
+        subprocess.run([sys.executable, "-m", "synth", str(captures), *size], check=True, cwd=ROOT)
+    return repeats.rows(captures, work / "repeats")
+
+
+PARTS: dict[str, Callable[[Path], Iterator[Row]]] = {
+    "functions": lambda work: functions.rows(),
+    "kernels": lambda work: fused.rows(),
+    "light stage": lambda work: light_stage.rows(),
+    "whole runs": whole_runs.rows,
+    "repeats": _repeats,
+}
+
+
+def _commit() -> str:
+    done = subprocess.run(["git", "describe", "--always", "--dirty", "--abbrev=10"], cwd=ROOT, capture_output=True, text=True)
+    return done.stdout.strip() or "not known"
+
+
+def _machine() -> str:
+    import os
+
+    return f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

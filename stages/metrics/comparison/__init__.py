@@ -1,0 +1,1 @@
+"""`polarfield compare`: results side by side, figures and pictures."""

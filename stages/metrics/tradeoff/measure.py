@@ -1,0 +1,57 @@
+"""One run of the pipeline with other parameters: its seconds and its error against the run with the user's own."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from stages.metrics.comparison.results import Result
+
+FIGURES = {
+    "train": ("psnr_srgb", "psnr_srgb_behind_polariser", "normal_mae_deg", "aolp_mae_deg"),
+    "mesh": ("chamfer_pct",),
+    "relight": ("psnr_srgb",),
+    "olat": ("normal_median_deg", "albedo_rel_median", "residual_median"),
+}
+"""What a run's error is made of, where a capture has it: without truth, held-out views (train), the fit's residual (olat)."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A run: parameters that differ from the user's, seconds of every stage, and its error over that of the user's run (1)."""
+
+    changed: dict[str, Any]
+    seconds: dict[str, float]
+    error: float
+    figures: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def total(self) -> float:
+        """Seconds of all stages."""
+        return sum(self.seconds.values())
+
+
+def errors(metrics: Mapping[str, Any]) -> dict[str, float]:
+    """The figures of `FIGURES` as errors: decibels as root mean squares."""
+    out = {}
+    for stage, names in FIGURES.items():
+        table = metrics.get(stage, {})
+        parts = {stage: table}
+        if stage == "relight":
+            parts = {f"relight {k}": v for k, v in table.items() if isinstance(v, Mapping)}
+        for part, values in parts.items():
+            for name in names:
+                value = values.get(name) if isinstance(values, Mapping) else None
+                if isinstance(value, int | float) and value > 0:
+                    out[f"{part}: {name}"] = 10 ** (-value / 20) if "psnr" in name else float(value)
+    return out
+
+
+def measured(result: Result, changed: Mapping[str, Any], base: Mapping[str, float]) -> Measured:
+    """A finished run beside the errors `base` of the user's own: the geometric mean of their ratios; 1 if they share none."""
+    own = errors(result.metrics)
+    shared = [math.log(own[k] / base[k]) for k in base if k in own]
+    seconds = {stage: float(m.get("wall_s") or 0.0) for stage, m in result.manifests.items()}
+    return Measured(dict(changed), seconds, math.exp(sum(shared) / len(shared)) if shared else 1.0, own)

@@ -1,0 +1,32 @@
+"""Which lobe a capture's highlights have: the one that leaves the smallest residual on most of a sample of pixels."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stages.olat.pixel_fit.result_layout import FLAG, GOOD, RESIDUAL
+
+CANDIDATES = ("ward", "beckmann", "ggx")
+
+
+@dataclass(frozen=True)
+class LobeChoice:
+    """The lobe, how many pixels had a say (good under every lobe), and each candidate's share of them."""
+
+    lobe: str
+    pixels: int
+    shares: dict[str, float]
+
+
+def choose(found: Mapping[str, NDArray[np.float64]]) -> LobeChoice:
+    """The best lobe by rows [P, WIDTH] of the same pixels fitted with each; the first where no pixel tells."""
+    names = list(found)
+    sound = np.all([rows[:, FLAG] == GOOD for rows in found.values()], 0)
+    residuals = np.stack([rows[sound, RESIDUAL] for rows in found.values()])
+    best = np.bincount(residuals.argmin(0), minlength=len(names)) if sound.any() else np.zeros(len(names), int)
+    count = int(sound.sum())
+    return LobeChoice(names[int(best.argmax())], count, {n: round(int(k) / max(count, 1), 3) for n, k in zip(names, best)})

@@ -1,0 +1,66 @@
+"""Error against run time: what is tried, what beats what, and what is predicted of several changes together."""
+
+import pytest
+
+from stages.metrics.comparison.results import Result
+from stages.metrics.tradeoff.choose import best_within, finest, pareto, predicted
+from stages.metrics.tradeoff.knobs import trials
+from stages.metrics.tradeoff.measure import Measured, errors, measured
+from stages.metrics.tradeoff.page import scatter
+
+BASE = Measured({}, {"decode": 2.0, "train": 80.0, "mesh": 18.0}, 1.0)
+SHORT = Measured({"train.iterations": 500}, {"decode": 2.0, "train": 30.0, "mesh": 18.0}, 1.3)
+LONG = Measured({"train.iterations": 2400}, {"decode": 2.0, "train": 125.0, "mesh": 18.0}, 0.9)
+SPLIT = Measured({"train.mirror": "split"}, {"decode": 2.0, "train": 56.0, "mesh": 18.0}, 1.1)
+COARSE = Measured({"mesh.voxel_px": 2.0}, {"decode": 2.0, "train": 80.0, "mesh": 9.0}, 1.05)
+SINGLES = [SHORT, LONG, SPLIT, COARSE]
+
+
+def test_only_parameters_of_stages_that_ran_are_tried_and_none_with_its_present_value():
+    tried = trials({"olat": {"lights": "all", "lobe": "ward", "precision": "float32"}})
+    assert {t.parameter for t in tried} == {"olat.lights", "olat.precision"}
+
+
+def test_a_pass_that_the_run_left_out_is_not_tried():
+    parameters = {"train": {"iterations": 900, "indirect": "traced"}}
+    assert "train.indirect" in {t.parameter for t in trials(parameters)}
+    assert "train.indirect" not in {t.parameter for t in trials(parameters, ["train.indirect"])}
+
+
+def test_steps_are_whole_and_relative_to_the_run_s_own():
+    assert [t.text for t in trials({"train": {"iterations": 900}})] == [
+        "train.iterations=300", "train.iterations=600", "train.iterations=1440",
+    ]  # fmt: skip
+
+
+def test_errors_of_decibels_fall_as_they_rise_and_only_shared_figures_count():
+    base = errors({"train": {"psnr_srgb": 30.0, "normal_mae_deg": 4.0}})
+    run = measured(Result("a", {"train": {"psnr_srgb": 36.0}}, {"train": {"wall_s": 3.0}}), {}, base)
+    assert run.error == pytest.approx(10 ** (-6 / 20))
+    assert run.total == 3.0
+
+
+def test_the_pareto_curve_leaves_out_what_another_run_beats():
+    worse = Measured({"train.indirect": "none"}, {"train": 90.0}, 1.4)
+    assert [r.error for r in pareto([BASE, *SINGLES, worse])] == [1.3, 1.1, 1.05, 1.0, 0.9]
+
+
+def test_changes_multiply_in_the_time_of_their_stage_and_in_the_error():
+    seconds, error = predicted(BASE, [SHORT, SPLIT, COARSE])
+    assert seconds == pytest.approx(2 + 80 * 30 / 80 * 56 / 80 + 9)
+    assert error == pytest.approx(1.3 * 1.1 * 1.05)
+
+
+def test_half_the_time_takes_the_combination_that_costs_least_error():
+    assert best_within(BASE, SINGLES, 50.0) == {"train.iterations": 500}
+    assert best_within(BASE, SINGLES, 45.0) == {"train.iterations": 500, "mesh.voxel_px": 2.0}
+    assert best_within(BASE, SINGLES, 5.0) is None
+
+
+def test_the_finest_takes_only_what_lowers_the_error():
+    assert finest(BASE, SINGLES) == {"train.iterations": 2400}
+
+
+def test_the_plot_has_a_point_for_every_run_with_its_parameters():
+    svg = scatter([BASE, *SINGLES], pareto([BASE, *SINGLES]), lambda changed: " ".join(changed))
+    assert svg.count("<circle") == 5 and "train.mirror: " in svg
