@@ -30,6 +30,13 @@ class Surface:
     frame_y: NDArray
     pixels: NDArray[np.int64] | None = None
 
+    def part(self, rows: slice) -> Surface:
+        """Some of the points."""
+        pixels = None if self.pixels is None else self.pixels[rows]
+        images = (self.position, self.normal, self.view, self.material, self.frame_x, self.frame_y)
+        position, normal, view, material, frame_x, frame_y = (values[rows] for values in images)
+        return Surface(position, normal, view, material, frame_x, frame_y, pixels)
+
 
 @dataclass(frozen=True)
 class ShadingModel:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -21,8 +21,8 @@ from pipeline.shading.gridmap import GridMap, LocalLight, nearest_albedo
 from pipeline.shading.occluded import LEAST_BLOCKED, blocked_share
 
 from .deferred import Lamp, ShadingModel, Surface
+from .mesh_images import read_baked_mesh
 from .mesh_shadows import FACES, SelfOcclusion
-from .turntable import read_baked_mesh
 
 
 class Indirect(Protocol):
@@ -34,23 +34,11 @@ class Indirect(Protocol):
     def on_mesh(self, light: Any) -> NDArray[np.float32]:
         """Shadow and bounced light [V, 6] at the vertices of mesh.ply."""
 
-    def attach(self, surface: Surface, own_rays: bool, view: str) -> Any:
-        """Rays of a view's points, whatever the map."""
+    def attach(self, surface: Surface, own_rays: bool = False, name: str = "") -> Any:
+        """Rays of the points of a view of this name, whatever the map."""
 
     def at(self, attachment: Any, light: Any) -> Occlusion:
         """What shading needs at a view's points under one map."""
-
-
-class TracedMesh:
-    """Shadows and two bounces by rays of the mesh's vertices (`mesh_shadows`)."""
-
-    def __init__(self, mesh: Path, model: ShadingModel) -> None:
-        self._mesh = SelfOcclusion(mesh, model)
-        self.under, self.on_mesh, self.at = self._mesh.under, self._mesh.on_mesh, self._mesh.at
-
-    def attach(self, surface: Surface, own_rays: bool, view: str) -> Any:
-        """Rays of a view's points."""
-        return self._mesh.attach(surface, own_rays)
 
 
 @dataclass(frozen=True)
@@ -104,7 +92,7 @@ class LocalEnvironments(_Mesh):
         received = self._grid.received(weight, self.attributes[:, :3] @ self.turn.T, light)
         return np.concatenate([np.zeros_like(received), received], 1)
 
-    def attach(self, surface: Surface, own_rays: bool, view: str) -> Seen:
+    def attach(self, surface: Surface, own_rays: bool = False, name: str = "") -> Seen:
         """Mirror rays of a view's points."""
         return self.seen(surface)
 
@@ -131,10 +119,12 @@ class LearntHarmonics(_Mesh):
         """Shadow and bounced light [V, 6] at the vertices of mesh.ply: diffuse light goes free."""
         return np.repeat(np.array([[1, 0]], np.float32), 3, 1).repeat(len(self.vertices), 0)
 
-    def attach(self, surface: Surface, own_rays: bool, view: str) -> Seen:
+    def attach(self, surface: Surface, own_rays: bool = False, name: str = "") -> Seen:
         """Mirror rays of a view's points, and what was learnt there."""
-        assert surface.pixels is not None
-        image = read_image(files.learnt_light(self._train, view), RGB)
+        if surface.pixels is None:  # between a view's pixels, at an outline: nothing is known there
+            free = self.seen(surface, np.zeros_like(surface.position))
+            return replace(free, blocked=np.zeros_like(free.blocked))
+        image = read_image(files.learnt_light(self._train, name), RGB)
         return self.seen(surface, image.reshape(-1, 3)[surface.pixels])
 
     def at(self, attachment: Seen, light: None) -> Occlusion:
@@ -172,4 +162,11 @@ def _made(kind: str, mesh: Path, model: ShadingModel, run: StageRun) -> Indirect
             return None
     if kind == "gridmap":
         return LocalEnvironments(mesh, model, run.parameters.gridmap_weights, run.parameters.gridmap_anchors)
-    return LearntHarmonics(mesh, model, run.inputs["train"]) if kind == "sh" else TracedMesh(mesh, model)
+    return LearntHarmonics(mesh, model, run.inputs["train"]) if kind == "sh" else SelfOcclusion(mesh, model)
+
+
+def traced(run: StageRun, model: ShadingModel, occluder: Indirect | None) -> SelfOcclusion | None:
+    """The mesh's shadows for lights that stand in the world: those in use, or made for them where these are of another kind."""
+    if occluder is None or isinstance(occluder, SelfOcclusion):
+        return occluder
+    return SelfOcclusion(run.inputs["mesh"] / files.MESH, model)

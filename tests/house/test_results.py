@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -15,7 +17,8 @@ from stages.relight.parameters import RelightParameters
 from stages.train.parameters import TrainParameters
 from stages.train.stage import STAGE
 
-RESULTS = Path(__file__).parents[2] / "benchmarks" / "results"
+ROOT = Path(__file__).parents[2]
+RESULTS = ROOT / "benchmarks" / "results"
 
 
 def stored(name: str) -> dict[str, Any]:
@@ -63,3 +66,9 @@ def test_stored_errors_of_light_were_measured_with_what_relighting_does_today():
     then = {name: LIGHT["settings"][name] for name in now}
     assert LIGHT.get("defaults_since", {}) == changed(then, now), "run `make bench-light`, or say what has changed"
     assert all(found["choices"] for found in LIGHT["captures"].values())
+
+
+def test_the_pages_of_figures_say_what_the_stored_results_say():
+    """Whoever changes a stored number or a page by hand, and not the other, is told."""
+    done = subprocess.run([sys.executable, "-m", "benchmarks.report", "--check"], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
