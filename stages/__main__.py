@@ -12,6 +12,7 @@ from pipeline.engine.cli import main as run_command
 from pipeline.engine.dataset import Dataset
 from pipeline.engine.plan import Step
 from pipeline.engine.program import Program
+from pipeline.errors import UserError
 from stages import FORMATS, STAGES
 
 
@@ -22,6 +23,15 @@ def inspect(capture: Capture, steps: Sequence[Step], folder: Path, found: Mappin
 
     running = {step.stage.name for step in steps if step.decision.run}
     return write_inspection(capture, steps, folder, found, disk_estimate(capture, running))
+
+
+def look(
+    capture: Capture, steps: Sequence[Step], found: Mapping[str, State], megapixels: float
+) -> tuple[Sequence[str], UserError | None]:
+    """What a run would warn of, and the fault that would end it, found by reading about so many million pixels."""
+    from stages.early_look import look as look_at
+
+    return look_at(capture, steps, found, megapixels)
 
 
 def compare(paths: Sequence[Path], output: Path) -> Path:
@@ -47,7 +57,7 @@ def export(dataset: Dataset, to: str, output: str) -> Path:
 
 PROGRAM = Program(
     STAGES, module="stages", report="metrics", inspect=inspect, compare=compare, tradeoff=run_tradeoff,
-    export=export, formats=FORMATS,
+    look=look, export=export, formats=FORMATS,
 )  # fmt: skip
 
 

@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NoReturn
 
 from pipeline.engine.stage import Stage
+from pipeline.environments import DEFAULT, NO_MAPS, SHIPPED
 from pipeline.errors import UserError, nearest
 
 EPILOG = "A capture folder is never written to. docs/captures.md lists what is recognised; docs/stages.md what comes out."
@@ -33,6 +34,10 @@ SWITCHES = {
 }
 MAKE_VARIABLES = {"--dataset": "DATASET", "--params": "PARAMS", "--envs": "ENVS", "--device": "DEVICE", "--jobs": "JOBS"}
 DEVICES = ("auto", "cpu", "cuda")
+MAPS_HELP = (
+    f'more environment maps to relight under, as "a.hdr b.exr", or of those that come with the program: {", ".join(SHIPPED)} '
+    f"[default: {' '.join(DEFAULT)} where the capture has none of its own; {NO_MAPS}: none]"
+)
 OTHER_NAMES = {"gpu": "cuda", "nvidia": "cuda"}  # what people write for a device
 
 
@@ -146,7 +151,7 @@ def _common(parser: argparse.ArgumentParser) -> None:
     add("capture", nargs="?", default="", help="the capture folder (default: the one that DATASET was made from)")
     add("--dataset", default="", help="the dataset directory [default: datasets/<capture folder's name>]")
     add("--params", default="", metavar="TEXT", help='parameters of any stage, as "train.iterations=500 olat.solver=closed"')
-    add("--envs", default="", metavar="TEXT", help='more environment maps to relight under, as "a.hdr b.exr"')
+    add("--envs", default="", metavar="TEXT", help=MAPS_HELP)
     add("--device", default="auto", choices=DEVICES, help="where to train: auto, cpu or cuda [default: auto]")
     add("--jobs", type=int, default=1, help="how many independent pieces to work on side by side [default: 1]")
     add("--quiet", action="store_true", help="say nothing but errors and the result")

@@ -9,7 +9,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from pipeline.capture import Capture
@@ -17,6 +17,7 @@ from pipeline.engine.arguments import parse
 from pipeline.engine.changes import State, expected_warnings, keep_hint, outlook, plan_text, stale_after, states
 from pipeline.engine.dataset import Dataset, digest_json
 from pipeline.engine.device import device_of, refuse_missing_cuda
+from pipeline.engine.early import look_early, say_warnings
 from pipeline.engine.gc import collect
 from pipeline.engine.interrupts import Interrupted, in_child, interruptible, wait_for
 from pipeline.engine.places import existing_dataset, open_places, refuse_another_capture
@@ -125,14 +126,18 @@ def _show(call: Call) -> int:
     print(f"{call.capture.root.name}: {call.capture.layout}\n{plan_text(steps, found)}\n{outlook(found)}")
     if hint := keep_hint(call.last, call.settings, found, call.stages, call.command not in call.stages):
         print(hint)
-    for warning in expected_warnings(call.capture.warnings, call.dataset, found):
-        print(f"warning: {warning}")
+    warnings = expected_warnings(call.capture.warnings, call.dataset, found)
+    say_warnings(warnings)
     for step in steps:
         if not found[step.stage.name].ready:
             step.stage.check(call.capture)
+    new, fault = look_early(call.program.look, call.capture, steps, found, call.command, warnings)
     if call.command == "inspect":
         folder = call.dataset.root.with_name(call.dataset.root.name + "-inspect")
-        print(f"inspection: {call.program.inspect(call.capture, steps, folder, found)}")
+        told = replace(call.capture, warnings=(*call.capture.warnings, *new, *([str(fault)] if fault else [])))
+        print(f"inspection: {call.program.inspect(told, steps, folder, found)}")
+    if fault is not None:
+        raise fault
     return 0
 
 

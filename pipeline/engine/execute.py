@@ -102,12 +102,19 @@ def _manifest(step: Step, run: StageRun, output: Path, figures: Mapping[str, Any
         "inputs": step.inputs,
         "outputs": outputs,
         **figures,
+        "compile_s": _compile_s(),
         "device": run.device,
         "packages": _packages(),
         "warnings": run.warnings,
         "facts": as_json(run.facts),
         "decision": replace(step.decision).as_json(),
     }
+
+
+def _compile_s() -> float:
+    """Seconds of the stage that went into compiling kernels, which the next run on this machine will not take."""
+    compiling = sys.modules.get("pipeline.kernels.compiling")  # a stage without kernels does not load numba
+    return round(compiling.compile_seconds(), 3) if compiling else 0.0
 
 
 def _packages() -> dict[str, str]:

@@ -9,6 +9,7 @@ from pathlib import Path
 from pipeline.capture import Capture
 from pipeline.engine.changes import State
 from pipeline.engine.dataset import Dataset
+from pipeline.engine.early import Look
 from pipeline.engine.plan import Step
 
 Inspect = Callable[[Capture, Sequence[Step], Path, Mapping[str, State]], Path]
@@ -30,7 +31,8 @@ class Program:
 
     `modules`: each stage's module by its name, in running order. `module`: `python -m MODULE STAGE ...` runs one stage in
     a process of its own. `report`: the stage whose output the report is. `inspect` writes the page of `inspect`,
-    `compare` that of `compare`, `tradeoff` tries out other parameters, `export` to `formats` copies results.
+    `compare` that of `compare`, `tradeoff` tries out other parameters, `export` to `formats` copies results,
+    `look` tells what a run would warn of.
     """
 
     modules: Mapping[str, str]
@@ -39,5 +41,6 @@ class Program:
     inspect: Inspect
     compare: Compare | None = None
     tradeoff: Tradeoff | None = None
+    look: Look | None = None
     export: Export | None = None
     formats: tuple[str, ...] = ()

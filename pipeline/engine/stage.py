@@ -38,6 +38,11 @@ def no_files(capture: Capture) -> Iterable[Path]:
     return ()
 
 
+def no_given_files(capture: Capture, parameters: Any) -> Iterable[Path]:
+    """For a stage whose parameters name no file."""
+    return ()
+
+
 def no_check(capture: Capture) -> None:
     """For a stage whose files are checked where the capture is recognised."""
 
@@ -49,7 +54,8 @@ class Stage:
     `version` grows whenever the meaning of its output changes. `needs` are upstream stages, read where the plan runs
     them. `capture_files` are the capture's files that it reads itself, and `config` the `capture.toml` sections that
     it heeds: both enter its key. `check` raises UserError where it could not use its files; it is asked before any
-    stage runs. `environments` says that it reads the maps to relight under, `device` that it runs on
+    stage runs. `given_files` are files that its parameters name: they enter its key, and it may refuse them before anything
+    runs. `environments` says that it reads the maps to relight under, `device` that it runs on
     the device that a call names (every other stage runs on the processor and loads nothing to find out).
     """
 
@@ -61,6 +67,7 @@ class Stage:
     run: Callable[[StageRun], None]
     capture_files: Callable[[Capture], Iterable[Path]] = no_files
     check: Callable[[Capture], None] = no_check
+    given_files: Callable[[Capture, Any], Iterable[Path]] = no_given_files
     config: tuple[str, ...] = ()
     environments: bool = False
     device: bool = False

@@ -12,7 +12,7 @@ import numpy as np
 
 from pipeline.errors import UserError
 from pipeline.formats.exr_frame import ExrFrame, exr_frame
-from pipeline.formats.truncation import refuse_truncated
+from pipeline.formats.truncation import refuse_garbled_name, refuse_truncated
 
 if TYPE_CHECKING:
     from pipeline.formats.image_parts import Page
@@ -55,6 +55,7 @@ def open_whole(path: Path, unassociated: bool = False) -> Any:
 
     if not path.is_file():
         raise UserError(path, "no such image", "check the path and the name")
+    refuse_garbled_name(path)
     if path.stat().st_size == 0:
         raise UserError(path, "the file is empty (0 bytes)", "copy it again from its source")
     if path.suffix.lower() == ".png":
@@ -187,8 +188,7 @@ def write_png(path: str | Path, pixels: np.ndarray, bits: int = 8) -> None:
     kind = f"uint{bits}"
     if pixels.dtype != kind:
         pixels = (np.clip(np.nan_to_num(pixels), 0, 1) * (2**bits - 1) + 0.5).astype(kind)
-    if pixels.ndim == 2:
-        pixels = pixels[..., None]
+    pixels = pixels if pixels.ndim > 2 else pixels[..., None]
     names = {1: ["Y"], 3: ["R", "G", "B"], 4: ["R", "G", "B", "A"]}[pixels.shape[2]]
     _write(Path(path), np.ascontiguousarray(pixels), kind, names, {"oiio:UnassociatedAlpha": 1})
 

@@ -112,7 +112,15 @@ class Transfer:
         """Light at the vertices under radiance [6, R, R, 3] (R at least the transfer's resolution); differentiable."""
         texels = self._texels(radiance)
         arriving, shadow = self._received(self._vertices, texels)
-        direct = shadow * arriving
+        return self._spread(shadow, shadow * arriving, texels, bounces)
+
+    def lit(self, direct: torch.Tensor, bounces: int = 2) -> SurfaceLight:
+        """Light at the vertices that receive `direct` [V, 3] from lamps that are no environment; its `texels` are dark."""
+        dark = torch.zeros(len(self._directions), 3)
+        return self._spread(torch.ones_like(direct), direct, dark, bounces)
+
+    def _spread(self, shadow: torch.Tensor, direct: torch.Tensor, texels: torch.Tensor, bounces: int) -> SurfaceLight:
+        """What the surface sends on to itself of the light that it receives directly [V, 3]."""
         scale = self._leaving / torch.pi * self.albedo
         bounced = torch.zeros_like(direct)
         for _ in range(bounces):

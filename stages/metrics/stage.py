@@ -39,7 +39,7 @@ def run(run: StageRun) -> None:
 
 STAGE = Stage(
     name="metrics",
-    version=3,
+    version=4,
     parameters=MetricsParameters,
     needs=("decode", "poses", "masks", "olat", "train", "mesh", "relight"),
     needed=needed,

@@ -35,7 +35,7 @@ def capture_files(capture: Capture) -> Iterable[Path]:
     stage = capture.light_stage
     if stage is None:
         return []
-    return [path for camera in stage.cameras.values() for path in (*camera.cross, *camera.parallel)]
+    return [path for camera in stage.cameras.values() for path in camera.frames]
 
 
 def run(stage: StageRun) -> None:
@@ -53,7 +53,7 @@ def run(stage: StageRun) -> None:
 
 STAGE = Stage(
     name="olat",
-    version=8,
+    version=9,
     parameters=OlatParameters,
     needs=("decode", "masks"),
     needed=needed,

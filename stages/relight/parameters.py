@@ -27,6 +27,13 @@ class RelightParameters:
     previews: bool = field(default=True, metadata={"help": "write a PNG beside every EXR"})
     turntable: int = field(default=0, metadata={"help": "frames of a turntable of the mesh under every map; 0: none (count)"})
     turntable_size: int = field(default=320, metadata={"help": "width and height of the turntable (px)"})
+    lights: str = field(
+        default="",
+        metadata={"help": "file of directional, spherical and rectangular lights in the capture's world (TOML or JSON)"},
+    )
+    cameras: str = field(
+        default="", metadata={"help": "file of cameras to show the mesh from: transforms.json, or a camera path of nerfstudio"}
+    )
 
     def __post_init__(self) -> None:
         if self.cube not in (16, 32, 64, 128, 256):

@@ -60,6 +60,8 @@ class TrainParameters:
     def __post_init__(self) -> None:
         if self.iterations < 1:
             raise ValueError("iterations must be at least 1")
+        if not 0 <= self.seed < 2**63:
+            raise ValueError("seed must be at least 0 and fit into 63 bits")
         if self.environment_resolution not in (8, 16, 32, 64, 128):
             raise ValueError("environment_resolution must be 8, 16, 32, 64 or 128")
         if not 0.3 <= self.splat_pixels <= 10:

@@ -9,8 +9,9 @@ import numpy as np
 import torch
 
 from pipeline.capture.model import PolariserPrior
+from pipeline.geometry.silhouette_hull import Silhouette, occupancy, signed_distance
 
-from .initialise.hull import HullMesh, Silhouette, occupancy, signed_distance
+from .initialise.hull import HullMesh
 from .initialise.openings import OpeningView, cut_openings
 from .initialise.sampling import mesh_area, sample_evenly, wanted_count
 from .initialise.silhouettes import are_masks, outline

@@ -26,7 +26,7 @@ def write_report(run: StageRun, metrics: dict[str, Any], manifests: Mapping[str,
         "facts": capture_facts(run) + offset_fact(manifests),
         "tiles": headlines(metrics),
         "plan": plan_rows(run, manifests),
-        "views": [], "environment": [], "relit": [], "olat": [], "lobe": {},
+        "views": [], "environment": [], "relit": [], "olat": [], "lobe": {}, "disagreement": [],
         "curves": training_curves(run.inputs["train"] / TRAIN_LOG) if "train" in run.inputs else [],
         "costs": cost_rows(manifests),
         "tables": tables(metrics),
@@ -46,8 +46,16 @@ def write_report(run: StageRun, metrics: dict[str, Any], manifests: Mapping[str,
 
         context["lobe"] = json.loads((run.inputs["olat"] / FITTED_LOBE).read_text())
         context["olat"] = rig_pictures.olat_cards(run, metrics)
+        context["disagreement"] = rig_pictures.disagreement_cards(run)
         context["relit"] = rig_pictures.relit_cards(run) if "relight" in run.inputs else []
     (run.output / "report.html").write_text(render("report.html.jinja", context, Path(__file__).parent), encoding="utf-8")
+
+
+PASSES = {
+    "both": "cross and parallel polarised", "cross": "behind crossed polarisers alone",
+    "parallel": "behind parallel polarisers alone",
+    "none": "without polarisers",
+}  # fmt: skip
 
 
 def capture_facts(run: StageRun) -> list[str]:
@@ -62,7 +70,7 @@ def capture_facts(run: StageRun) -> list[str]:
             f"{len(c.light_stage.lights)} lights",
             f"{count} camera{'s' if count > 1 else ''}",
             size,
-            "cross and parallel polarised",
+            PASSES[cameras[0].passes],
         ]
     words = {"stokes": "full linear Stokes vectors", "polarisers": "behind polarisers", "none": "no polarisation data"}
     size = next((f"{v.size[0]} × {v.size[1]} px" for v in c.views if v.size), "")
