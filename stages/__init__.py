@@ -10,3 +10,5 @@ STAGES = {
     "relight": "stages.relight",
     "metrics": "stages.metrics",
 }
+FORMATS = ("glb", "usdz", "mtlx", "obj", "mitsuba", "blender", "nerfstudio", "colmap", "splat")
+"""What results are exported to."""

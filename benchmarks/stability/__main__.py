@@ -39,15 +39,15 @@ def main() -> int:
         done = [row for row in kept if row.part == part]
         if done and stored.get("finished", {}).get(part) == stamp["commit"] and not options.fresh:
             continue
-        kept = [row for row in kept if row.part != part]
-        for row in PARTS[part](options.work):
+        # Whole runs take minutes: those that are done stay. Other parts are begun again.
+        over = {row.name for row in done} if part == "whole runs" else set()
+        kept = [row for row in kept if row.part != part or row.name in over]
+        for row in PARTS[part](options.work, over):
             kept.append(row)
             _write(kept, stamp, stored)
             print(f"{'sound' if row.sound else 'FAILS'}  {row.part}: {row.name}, {row.setting}  {row.why}", flush=True)
         stored.setdefault("finished", {})[part] = stamp["commit"]
         _write(kept, stamp, stored)
-    order = list(TITLES)
-    kept.sort(key=lambda row: order.index(row.part))
     PAGE.write_text(page(kept, stamp))
     failed = sum(not row.sound for row in kept)
     print(f"{len(kept)} cases, {failed} fail: {PAGE}")
@@ -55,13 +55,14 @@ def main() -> int:
 
 
 def _write(rows: list[Row], stamp: dict[str, str], stored: dict) -> None:
+    rows.sort(key=lambda row: list(TITLES).index(row.part))
     out = {**stamp, "finished": stored.get("finished", {}), "rows": [asdict(row) for row in rows]}
     part = RESULTS.with_suffix(".part")
     part.write_text(json.dumps(out, indent=1) + "\n")
     part.replace(RESULTS)
 
 
-def _repeats(work: Path) -> Iterator[Row]:
+def _repeats(work: Path, over: set[str]) -> Iterator[Row]:
     captures = work / "tiny"
     if not (captures / "stage").is_dir():
         size = ["--size", "64", "--spp", "48", "--lights", "24"]
@@ -69,10 +70,10 @@ def _repeats(work: Path) -> Iterator[Row]:
     return repeats.rows(captures, work / "repeats")
 
 
-PARTS: dict[str, Callable[[Path], Iterator[Row]]] = {
-    "functions": lambda work: functions.rows(),
-    "kernels": lambda work: fused.rows(),
-    "light stage": lambda work: light_stage.rows(),
+PARTS: dict[str, Callable[[Path, set[str]], Iterator[Row]]] = {
+    "functions": lambda work, over: functions.rows(),
+    "kernels": lambda work, over: fused.rows(),
+    "light stage": lambda work, over: light_stage.rows(),
     "whole runs": whole_runs.rows,
     "repeats": _repeats,
 }

@@ -153,13 +153,13 @@ def _move(factor: float, shift: float = 0.0) -> Callable[[list[torch.Tensor]], N
 
 SCENES = {
     "sound": Splats(lambda splats: None, 1e-5),
-    "needles of 1e4:1": Splats(_scale(100.0, 0.01), 1e-3),
-    "covering the screen": Splats(_scale(1e3, 1e3)),
+    "needles of 1e4:1": Splats(_scale(100.0, 0.01), 2e-3),
+    "covering the screen": Splats(_scale(1e3, 1e3), 1e-3),
     "scale 0": Splats(_set(2, 0.0)),
     "scale 1e30": Splats(_set(2, 1e30), 1e-2),
     "scale NaN": Splats(_set(2, float("nan"))),
     "quaternion 0": Splats(_set(1, 0.0)),
-    "opacity 2": Splats(_set(3, 2.0)),
+    "opacity 2": Splats(_set(3, 2.0), 2e-2),
     "opacity NaN": Splats(_set(3, float("nan"))),
     "behind the camera": Splats(_move(1.0, -20.0)),
     "around the camera": Splats(_move(3.0), 1e-3),

@@ -14,11 +14,12 @@ from benchmarks.olat_settings import AT, SETTINGS
 from benchmarks.stability.verdicts import Row
 from pipeline.rig.light_table import LightTable
 from pipeline.rig.lobe_names import LOBES
+from pipeline.rig.map_flags import FLAGS, GOOD
 from pipeline.rig.solid_angles import solid_angles
 from stages.olat.pixel_fit.fit_options import ROUND
 from stages.olat.pixel_fit.lobe_choice import CANDIDATES, choose
 from stages.olat.pixel_fit.many_pixels import fit
-from stages.olat.pixel_fit.result_layout import FLAG, FLAGS, GOOD
+from stages.olat.pixel_fit.result_layout import FLAG
 from synth.olat_pixels import Pixels, angle_deg, make, rig_of, unit
 
 PIXELS = 200

@@ -7,7 +7,7 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -30,10 +30,11 @@ EXPECTED = {
 """How a run must go if not `ENDS`: refuse, either, or end with a warning that holds this word."""
 
 
-def rows(folder: Path) -> Iterator[Row]:
-    """A row for each case; captures and datasets lie in `folder`."""
+def rows(folder: Path, over: Container[str] = ()) -> Iterator[Row]:
+    """A row for each case but those named in `over`; captures and datasets lie in `folder`."""
     for name in (*SCENES, *SPOILED):
-        yield run(folder, name)
+        if name not in over:
+            yield run(folder, name)
 
 
 def run(folder: Path, name: str) -> Row:

@@ -136,6 +136,8 @@ def load_config(root: Path) -> CaptureConfig:
     """Read ROOT/capture.toml (absent: all defaults). Raises UserError naming the key on anything unknown or of a wrong type."""
     path = root / SETTINGS_FILE
     if not path.is_file():
+        if path.is_dir() or path.is_symlink():
+            raise UserError(path, "is a folder" if path.is_dir() else "is a link to nothing", SETTINGS_HELP)
         return CaptureConfig()
     config = filled(CaptureConfig, read_toml(path, SETTINGS_HELP), "", str(path), hidden=("path",))
     _check(config, path)

@@ -15,6 +15,8 @@ from pipeline.formats.ground_truth import Truth
 from pipeline.geometry.cameras import Camera
 from pipeline.rig.light_table import LightTable
 
+Passes = Literal["both", "cross", "parallel", "none"]
+"""What a light stage's camera was photographed behind: crossed and parallel polarisers, one of the two, or none."""
 Polarisation = Literal["stokes", "polarisers", "none"]
 """What is known of a view's polarisation: its Stokes vectors, its radiance behind a polariser, or nothing."""
 
@@ -78,7 +80,10 @@ class ViewSource:
 
 @dataclass(frozen=True)
 class LightStageCamera:
-    """One light-stage camera: cross- and parallel-polarised frames in the order of the lights, its matte and its pose."""
+    """One light-stage camera: cross- and parallel-polarised frames in the order of the lights, its matte and its pose.
+
+    Of a camera with one pass (`passes`) both are the same frames.
+    """
 
     name: str
     cross: tuple[Path, ...]
@@ -86,6 +91,12 @@ class LightStageCamera:
     mask: Path | None
     camera: Camera
     full_light: tuple[Path, ...] = ()
+    passes: Passes = "both"
+
+    @property
+    def frames(self) -> tuple[Path, ...]:
+        """The frames of all passes, each once."""
+        return (*self.cross, *self.parallel) if self.passes == "both" else self.cross
 
 
 @dataclass(frozen=True)
@@ -131,6 +142,15 @@ class Capture:
         if self.light_stage is not None:
             return tuple(sorted(self.light_stage.cameras))
         return tuple(sorted({view.camera for view in self.views}))
+
+    @property
+    def pixels(self) -> list[int]:
+        """Pixels of every view (of a light stage: of every camera); a megapixel where nothing has told its size."""
+        if self.light_stage is not None:
+            return [c.camera.width * c.camera.height for c in self.light_stage.cameras.values()]
+        cameras = self.cameras or {}
+        told = (v.size or ((c.width, c.height) if (c := cameras.get(v.view)) else (1024, 1024)) for v in self.views)
+        return [width * height for width, height in told]
 
     @property
     def camera_file(self) -> Path:

@@ -11,7 +11,7 @@ from pipeline.capture.layouts import all_layouts
 from pipeline.capture.model import Capture
 from pipeline.capture.naming.files import refuse_duplicates
 from pipeline.capture.naming.safe_names import refuse_special_files
-from pipeline.capture.recognition.foreign import foreign_warnings, refuse_unreadable
+from pipeline.capture.recognition.foreign import foreign_warnings, lost_links, refuse_unreadable
 from pipeline.capture.recognition.idle_tables import refuse_idle_tables
 from pipeline.errors import UserError
 from pipeline.geometry.camera_check import refuse_one_place
@@ -66,4 +66,4 @@ def _checked(capture: Capture) -> Capture:
     if capture.kind == "multiview" and capture.cameras:
         refuse_one_place(capture.cameras, capture.camera_file)
     refuse_idle_tables(capture)
-    return replace(capture, warnings=(*capture.warnings, *foreign_warnings(capture)))
+    return replace(capture, warnings=(*capture.warnings, *foreign_warnings(capture), *lost_links(capture.root)))

@@ -30,7 +30,8 @@ def open_places(capture: str, dataset: str, command: str) -> tuple[Capture, Data
 def existing_dataset(capture: str, dataset: str, command: str = "gc") -> Dataset:
     """The dataset of a call that reads no capture. Raises UserError where there is none."""
     if not capture and not dataset:
-        raise UserError("DATASET", "no dataset was given", f"as in `make {command} DATASET=folder`")
+        call = f"make {command} DATASET=folder" if command in ("gc", "verify") else f"polarfield {command} --dataset=folder"
+        raise UserError("DATASET", "no dataset was given", f"as in `{call}`")
     found = Dataset(Path(dataset) if dataset else Path("datasets") / Path(capture).absolute().name)
     if not found.exists:
         fault = "is not a dataset (it has no dataset.json)" if found.root.is_dir() else "no such dataset"
@@ -90,8 +91,9 @@ def refuse_another_capture(dataset: Dataset, capture: Capture, steps: Sequence[S
     source = os.path.realpath(dataset.root.absolute() / recorded)
     if source == os.path.realpath(capture.root):
         return
-    before = _digests(v.manifest.get("inputs", {}) for v in map(dataset.current, [s.stage.name for s in steps]) if v)
-    now = _digests(step.inputs for step in steps)
+    telling = [step for step in steps if not step.stage.environments]  # maps may be those of any capture
+    before = _digests(v.manifest.get("inputs", {}) for v in map(dataset.current, [s.stage.name for s in telling]) if v)
+    now = _digests(step.inputs for step in telling)
     if before and 2 * len(before & now) < min(len(before), len(now)):
         fault = f"was made from another capture, {os.path.normpath(source)}, not from {capture.root}"
         raise UserError(dataset.root, fault, "choose another DATASET=, or remove this one first")

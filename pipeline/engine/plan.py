@@ -77,10 +77,11 @@ def make_plan(
             steps[name] = Step(stage, decision, parameters)
             continue
         needs = tuple(n for n in stage.needs if steps[n].decision.run)
+        given = tuple(stage.given_files(capture, parameters))
         if digests is None:
             steps[name] = Step(stage, decision, parameters, needs=needs)
             continue
-        files = [*stage.capture_files(capture), *(environments if stage.environments else ())]
+        files = [*stage.capture_files(capture), *given, *(environments if stage.environments else ())]
         inputs = {
             "stages": {n: steps[n].key for n in needs},
             "files": digests.digests(capture.root, files),

@@ -38,6 +38,16 @@ def no_files(capture: Capture) -> Iterable[Path]:
     return ()
 
 
+def no_given_files(capture: Capture, parameters: Any) -> Iterable[Path]:
+    """For a stage whose parameters name no file."""
+    return ()
+
+
+def little_memory(capture: Capture, parameters: Any, jobs: int) -> float:
+    """For a stage that holds next to nothing: MiB of the program itself."""
+    return 150.0
+
+
 def no_check(capture: Capture) -> None:
     """For a stage whose files are checked where the capture is recognised."""
 
@@ -49,8 +59,10 @@ class Stage:
     `version` grows whenever the meaning of its output changes. `needs` are upstream stages, read where the plan runs
     them. `capture_files` are the capture's files that it reads itself, and `config` the `capture.toml` sections that
     it heeds: both enter its key. `check` raises UserError where it could not use its files; it is asked before any
-    stage runs. `environments` says that it reads the maps to relight under, `device` that it runs on
-    the device that a call names (every other stage runs on the processor and loads nothing to find out).
+    stage runs. `given_files` are files that its parameters name: they enter its key, and it may refuse them before anything
+    runs. `environments` says that it reads the maps to relight under, `device` that it runs on
+    the device that a call names (every other stage runs on the processor and loads nothing to find out). `memory` tells how
+    many MiB it will have at its peak, with so many jobs side by side.
     """
 
     name: str
@@ -61,9 +73,11 @@ class Stage:
     run: Callable[[StageRun], None]
     capture_files: Callable[[Capture], Iterable[Path]] = no_files
     check: Callable[[Capture], None] = no_check
+    given_files: Callable[[Capture, Any], Iterable[Path]] = no_given_files
     config: tuple[str, ...] = ()
     environments: bool = False
     device: bool = False
+    memory: Callable[[Capture, Any, int], float] = little_memory
 
 
 @dataclass
@@ -99,7 +113,8 @@ class StageRun:
 def parameters_from(stage: Stage, overrides: Mapping[str, Any], source: str, text: bool = True) -> Any:
     """The stage's parameters with `overrides` applied: as written in a call, or (not `text`) as TOML reads them.
 
-    Raises UserError naming the key.
+    Parameters with a `preset` have `PRESETS`, values by its name of what `overrides` does not give. Raises UserError naming
+    the key.
     """
     types_by_name = typing.get_type_hints(stage.parameters)
     known = [f.name for f in dataclasses.fields(stage.parameters)]
@@ -109,7 +124,8 @@ def parameters_from(stage: Stage, overrides: Mapping[str, Any], source: str, tex
         if name not in known:
             raise UserError(source, f"{stage.name} has no parameter {key!r}", nearest(key, known))
         values[name] = typed(value, types_by_name[name], f"{stage.name}.{key}", source, text)
+    preset = getattr(stage.parameters, "PRESETS", {}).get(values.get("preset"), {})
     try:
-        return stage.parameters(**values)
+        return stage.parameters(**{**preset, **values})
     except ValueError as error:
         raise UserError(source, f"{stage.name}: {error}", "choose another value") from error

@@ -12,13 +12,18 @@ MANIFEST = "manifest.json"
 MASKS = "masks.json"
 POINTS = "points.ply"
 MESH = "mesh.ply"
+ASSET = "asset"
+GAUSSIANS = "gaussians.ply"
 GBUFFERS, TESTS = "gbuffer", "test"
 ENVIRONMENT = "env.exr"
 POLARISERS = "polarisers.json"
 LIGHTING = "lighting.json"
 TRAIN_LOG = "train_log.csv"
 FITTED_LOBE = "maps.json"
-TURNTABLE = "turntable.webp"
+TURNTABLE, PATH = "turntable", "path"
+"""Folders of an environment's frames around the mesh and along given cameras; beside each its .webp and .mp4."""
+DISAGREEMENT = "disagreement"
+"""Folder of the mesh stage: how far each light-stage camera is from what all of them together say."""
 SUMMED, ERROR = "_olat", "_error"
 """Endings of a light-stage camera's relit images: the sum of its frames, and how far its maps are from that."""
 
@@ -36,6 +41,11 @@ def mask(masks: Path, view: str) -> Path:
 def gbuffer(train: Path, view: str) -> Path:
     """A view's G-buffer."""
     return train / GBUFFERS / f"{view}.exr"
+
+
+def learnt_light(train: Path, view: str) -> Path:
+    """What a view's surface mirrors of the object itself, where training has learnt it (`train.indirect=sh`)."""
+    return train / "indirect" / f"{view}.exr"
 
 
 def held_back_image(train: Path, view: str) -> Path:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import os
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
@@ -28,6 +28,12 @@ CHUNK_ROWS = {2: 1, 3: 16}
 SAMPLE_BYTES = {1: 2, 2: 4}
 """Of the channel types half and float."""
 LARGEST_HEADER = 1 << 20
+REQUIRED = {
+    "channels": ("chlist", None), "compression": ("compression", 1), "lineOrder": ("lineOrder", 1),
+    "dataWindow": ("box2i", 16), "displayWindow": ("box2i", 16), "pixelAspectRatio": ("float", 4),
+    "screenWindowCenter": ("v2f", 8), "screenWindowWidth": ("float", 4),
+}  # fmt: skip
+"""Attributes that every header holds, with their types and bytes."""
 
 
 @dataclass(frozen=True)
@@ -137,7 +143,10 @@ def _opened(file: BinaryIO) -> ZipExr | None:
     magic, version = struct.unpack("<II", file.read(8))
     if magic != MAGIC or version & 0xFF != VERSION or version & ~(0xFF | LONG_NAMES):
         return None
-    attributes, end = _attributes(file.read(LARGEST_HEADER))
+    typed, end = _attributes(file.read(LARGEST_HEADER))
+    if not _well_formed(typed):
+        return None  # OpenEXR may open such a file and then refuse its pixels
+    attributes = {name: value for name, (_, value) in typed.items()}
     rows = CHUNK_ROWS.get(attributes["compression"][0])
     left, top, right, bottom = struct.unpack("<4i", attributes["dataWindow"])
     channels = _channels(attributes["channels"])
@@ -160,15 +169,21 @@ def _opened(file: BinaryIO) -> ZipExr | None:
     return ZipExr(file, ZipLayout(file.read(8 + end), names, (width, height), SAMPLE_BYTES[kinds.pop()], rows, top))
 
 
-def _attributes(header: bytes) -> tuple[dict[str, bytes], int]:
-    """Values by name, and where the header ends."""
-    found: dict[str, bytes] = {}
+def _well_formed(attributes: Mapping[str, tuple[str, bytes]]) -> bool:
+    """Whether all required attributes are there, each of its type and size."""
+    there = [(attributes[name], kind, size) for name, (kind, size) in REQUIRED.items() if name in attributes]
+    return len(there) == len(REQUIRED) and all(t == kind and size in (None, len(value)) for (t, value), kind, size in there)
+
+
+def _attributes(header: bytes) -> tuple[dict[str, tuple[str, bytes]], int]:
+    """(type, value) by name, and where the header ends."""
+    found: dict[str, tuple[str, bytes]] = {}
     at = 0
     while header[at]:
         name, at = _text(header, at)
-        _, at = _text(header, at)
+        kind, at = _text(header, at)
         (size,) = struct.unpack_from("<i", header, at)
-        found[name] = header[at + 4 : at + 4 + size]
+        found[name] = kind, header[at + 4 : at + 4 + size]
         at += 4 + size
     return found, at + 1
 

@@ -1,4 +1,4 @@
-"""Truncated files, recognised by their own structure, before a C library prints its complaint over ours."""
+"""Files that a C library would complain of by itself: truncated ones, by their own structure, and garbled names."""
 
 from __future__ import annotations
 
@@ -16,6 +16,12 @@ OFFSETS_OF = {273: 279, 324: 325}
 DIRECTORIES = (330, 34665)
 SIZES = {3: 2, 4: 4, 13: 4}
 MOST_DIRECTORIES = 64
+
+
+def refuse_garbled_name(path: Path) -> None:
+    """Raise UserError where a file's name is no text: libraries that want one refuse it with an exception of their own."""
+    if any("\ud800" <= c <= "\udfff" for c in str(path)):
+        raise UserError(path, "its name or its folder's is no text in UTF-8, which image libraries want", "rename it")
 
 
 def refuse_truncated(path: Path) -> None:

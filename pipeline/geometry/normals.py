@@ -12,10 +12,15 @@ def vertex_normals(
     vertices: NDArray, triangles: NDArray, without: tuple[float, float, float] = (0.0, 0.0, 0.0)
 ) -> NDArray[np.float64]:
     """Unit normals [V, 3]: area-weighted means of the faces'; `without` at vertices whose faces have no area (or no faces)."""
-    corners = vertices.astype(np.float64)[triangles.astype(np.int64)]
-    area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = cross_products(vertices, triangles)
     total = np.zeros(vertices.shape)
-    for k in range(3):
-        np.add.at(total, triangles[:, k].astype(np.int64), area)
+    for k, axis in np.ndindex(3, 3):
+        total[:, axis] += np.bincount(triangles[:, k].astype(np.int64), area[:, axis], len(vertices))
     length = np.linalg.norm(total, axis=1, keepdims=True)
     return np.divide(total, length, out=np.tile(without, (len(vertices), 1)), where=length > 0)
+
+
+def cross_products(vertices: NDArray, triangles: NDArray) -> NDArray[np.float64]:
+    """Outward vectors [F, 3] across triangles, twice their area long."""
+    a, b, c = (vertices[triangles[:, k].astype(np.int64)].astype(np.float64) for k in range(3))
+    return np.cross(b - a, c - a)

@@ -52,6 +52,11 @@ class Occluder:
         """Whether rays meet anything [R]: cheaper than `cast`."""
         return self._rays.blocked(origins, directions)
 
+    def hidden(self, origins: NDArray, directions: NDArray, distances: NDArray) -> NDArray[np.bool_]:
+        """Whether rays [R, 3] meet an outer side nearer than `distances` [R] along unit directions; as `cast` counts hits."""
+        found = self._rays.cast(origins, directions)
+        return (found.distance < distances) & ((found.normal * directions).sum(-1) < 0)
+
     def nearest(self, points: NDArray) -> Hits:
         """The closest surface to points [P, 3], as hits."""
         found = self._rays.closest(points)

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numba
+from numba.core import event
 
 from pipeline.kernels import freshness, linking, storage
 
@@ -18,6 +19,8 @@ _NUMBAS_OWN = "UserProvidedCacheLocator,InTreeCacheLocator,UserWideCacheLocator,
 _config: Any = numba.config  # its settings are made at run time
 _here = threading.local()  # .function: the kernel that this thread is decorating
 _decorating = threading.Lock()
+_compiling = event.TimingListener()  # by no thread but one at a time: numba compiles under a lock
+event.register("numba:compile", _compiling)
 _made: dict[tuple[str, str], tuple[int, dict[str, Any]]] = {}
 
 
@@ -46,6 +49,11 @@ def kernel(function: Callable[..., Any] | None = None, *, allocates: bool = True
     if hasattr(compiled, "stats") and compiled.stats.cache_path != str(folder):  # with NUMBA_DISABLE_JIT it is the function
         raise RuntimeError(f"numba keeps {function.__qualname__} in {compiled.stats.cache_path}: its rules changed")
     return compiled
+
+
+def compile_seconds() -> float:
+    """What this process has spent compiling kernels so far (s); loading kept ones is no part of it."""
+    return float(_compiling.duration) if _compiling.done else 0.0
 
 
 @contextmanager

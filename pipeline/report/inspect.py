@@ -16,7 +16,8 @@ from pipeline.engine.changes import WORDS, State, outlook, standing
 from pipeline.engine.plan import Step, plan_as_json
 from pipeline.errors import UserError
 from pipeline.formats.given_mask import read_given
-from pipeline.formats.images import RGB, read_image, write_fault
+from pipeline.formats.image_output import write_fault
+from pipeline.formats.images import RGB, read_image
 from pipeline.geometry.axes import nearest_to_lines
 from pipeline.geometry.cameras import Camera
 from pipeline.geometry.world import Y_UP_FROM
@@ -64,10 +65,13 @@ def _standing(state: State) -> dict[str, str]:
     return {"state": standing(state), "word": "left out" if state.kind == "skip" else WORDS[state.kind]}
 
 
+PASSES = {"polarisers": "cross and parallel frames, or one of the two", "none": "none"}
+
+
 def _facts(capture: Capture) -> list[tuple[str, str]]:
     """What was recognised, as names and values."""
     words = {"stokes": "full linear Stokes vectors", "polarisers": "photographs behind polarisers", "none": "none"}
-    polarised = "cross and parallel frames" if capture.light_stage is not None else words[capture.polarisation]
+    polarised = PASSES[capture.polarisation] if capture.light_stage is not None else words[capture.polarisation]
     out = [("layout", capture.layout.replace("_", " ")), ("polarisation", polarised), ("up axis", capture.up)]
     if capture.light_stage is not None:
         stage = capture.light_stage

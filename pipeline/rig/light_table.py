@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 class LightTable:
     """Directions from the stage's centre to each light (world, unit) [N, 3], positions [N, 3] in world units,
     relative intensity [N], solid angle [N] in sr (None: to be computed from the directions). index [N]: the table's own
-    number of each light, which its frame bears (None: 0..N-1); names: the file of each light's frame, where it tells."""
+    number of each light, which its frame bears (None: 0..N-1); names: the file of each light's frame, where it tells;
+    colour [N, 3]: of each light, relative to its own mean (None: white)."""
 
     directions: NDArray[np.float64]
     positions: NDArray[np.float64]
@@ -20,6 +21,12 @@ class LightTable:
     solid_angle: NDArray[np.float64] | None = None
     index: NDArray[np.int64] | None = None
     names: tuple[str, ...] | None = None
+    colour: NDArray[np.float64] | None = None
+
+    @property
+    def gains(self) -> NDArray[np.float64]:
+        """What each channel of a light's frame is multiplied by to make the light white [N, 3]."""
+        return np.ones((len(self), 3)) if self.colour is None else 1.0 / self.colour
 
     def __len__(self) -> int:
         return len(self.directions)

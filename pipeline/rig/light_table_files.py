@@ -16,6 +16,7 @@ from pipeline.rig.light_table import LightTable
 
 LSX3_POSITIONS = "LSX3_light_positions.txt"
 LSX3_SPIRAL = "LSX3_light_z_spiral.txt"
+COLOURS = ("red", "green", "blue")
 WORLD_FROM_TABLE = np.array([-1.0, 1.0, -1.0])  # the published table is turned 180 degrees about y against the cameras
 
 
@@ -42,7 +43,9 @@ def read_lsx3(root: Path) -> LightTable:
 
 
 def read_lights_csv(path: Path) -> LightTable:
-    """A rig from `index, x, y, z[, intensity][, solid_angle]`, ordered by index. Positions in world units, or directions.
+    """A rig from `index, x, y, z[, intensity][, red, green, blue][, solid_angle]`, ordered by index.
+
+    Positions in world units, or directions.
 
     A light that did not fire is left out: its index then is missing, and its frame is not used.
 
@@ -76,6 +79,7 @@ def read_lights_csv(path: Path) -> LightTable:
     column = {name: np.array(cells)[order] for name, cells in values.items()}
     table = table_from_positions(np.stack([column["x"], column["y"], column["z"]], -1), path)
     intensity, area = column.get("intensity", table.intensity), column.get("solid_angle")
+    intensity, colour = _coloured(intensity, column, path)
     if not np.all(np.isfinite(intensity)) or np.any(intensity <= 0):
         raise UserError(path, "a light's intensity is not above 0", "take lights that did not fire out of the table")
     if area is not None and (not np.all(np.isfinite(area)) or np.any(area < 0)):
@@ -84,7 +88,19 @@ def read_lights_csv(path: Path) -> LightTable:
     if not np.all(np.isfinite(numbers)) or np.any(numbers != np.round(numbers)) or np.any(numbers < 0):
         bad = numbers[~(np.isfinite(numbers) & (numbers == np.round(numbers)) & (numbers >= 0))][0]
         raise UserError(path, f"index {bad:g} is no whole number from 0", "number the lights as their frames are")
-    return LightTable(table.directions, table.positions, intensity, area, numbers.astype(np.int64))
+    return LightTable(table.directions, table.positions, intensity, area, numbers.astype(np.int64), colour=colour)
+
+
+def _coloured(
+    intensity: NDArray[np.float64], column: dict[str, NDArray[np.float64]], path: Path
+) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+    """Intensities [N] and, where the table has them, colours [N, 3] of mean 1. Raises UserError."""
+    if not set(COLOURS) <= set(column):
+        return intensity, None
+    colour = np.stack([column[c] for c in COLOURS], -1)
+    if not np.all(np.isfinite(colour)) or np.any(colour <= 0):
+        raise UserError(path, "a light's colour is not above 0", "take lights that did not fire out of the table")
+    return intensity * colour.mean(1), colour / colour.mean(1, keepdims=True)
 
 
 def table_from_positions(positions: NDArray[np.float64], path: Path | str = "lights") -> LightTable:

@@ -38,17 +38,20 @@ def read_lp(path: Path) -> LightTable:
 def read_directions(path: Path) -> LightTable:
     """light_directions.txt as DiLiGenT has it, with light_intensities.txt and filenames.txt beside it where they are.
 
-    Intensities per colour are averaged. Raises UserError naming the line that is wrong.
+    Intensities per colour are a light's mean and its colour. Raises UserError naming the line that is wrong.
     """
     table = table_from_positions(_numbers(path, (3,)), path)
     intensities, names = path.with_name(INTENSITIES), path.with_name(NAMES)
     if intensities.is_file():
-        values = _numbers(intensities, (1, 3)).mean(1)
+        channels = _numbers(intensities, (1, 3))
+        values = channels.mean(1)
         if len(values) != len(table):
             raise UserError(intensities, f"has {len(values)} lines, {path.name} {len(table)}", "give each light one line")
-        if values.min() <= 0:
+        if channels.min() <= 0:
             raise UserError(intensities, "a light's intensity is not above 0", "take dead lights out of both tables")
         table = replace(table, intensity=values / values.mean())
+        if channels.shape[1] == 3 and not np.allclose(channels, channels[:, :1]):
+            table = replace(table, colour=channels / values[:, None])
     if names.is_file():
         listed = [line.strip() for line in names.read_text(errors="replace").splitlines() if line.strip()]
         if len(listed) == len(table):

@@ -20,13 +20,14 @@ def _inverse_width(sigma, spread):
 
 
 @kernel(error_model="numpy", parallel=True, nogil=True)
-def _render(lobe, view, normal_d, normal_s, tangent, sigma, albedo_s, directions, light, spread, out):
-    count = directions.shape[0]
+def _render(lobe, view, normal_d, normal_s, tangent, sigma, albedo_s, directions, light, spread, visible, out):
+    count, shadows = directions.shape[0], visible.shape[0] > 0
     for p in prange(view.shape[0]):
-        o, n, m = view[p], normal_d[p], normal_s[p]
+        o, n, m, used = view[p], normal_d[p], normal_s[p], 0
         incident, half, index = np.empty((3, count)), np.empty((3, count)), np.empty(count, np.int64)
-        used = 0
         for k in range(count):
+            if shadows and not visible[p, k]:
+                continue
             cosine = n[0] * directions[k, 0] + n[1] * directions[k, 1] + n[2] * directions[k, 2]
             if cosine > 0:
                 for c in range(3):
@@ -82,13 +83,15 @@ def render_pixels(
     directions: NDArray[np.float64],
     light: NDArray[np.float64],
     spread: float,
+    visible: NDArray[np.bool_] | None = None,
 ) -> NDArray[np.float64]:
     """Irradiance and specular radiance [P, 2, 3] of P pixels under M lights.
 
     view, normals, tangent [P, 3]; sigma [P, 2] (larger first, along the tangent; averaged over tangents where
     that is 0); albedo_s [P]; directions [M, 3]; light
-    [M, 3]: irradiance; spread (rad): added to the widths in quadrature.
+    [M, 3]: irradiance; spread (rad): added to the widths in quadrature; visible [P, M]: which lights reach which pixel (all).
     """
     out = np.zeros((len(view), 2, 3))
-    _render(lobe, view, normal_d, normal_s, tangent, sigma, albedo_s, directions, light, spread, out)
+    reaches = np.zeros((0, 0), np.bool_) if visible is None else np.ascontiguousarray(visible, np.bool_)
+    _render(lobe, view, normal_d, normal_s, tangent, sigma, albedo_s, directions, light, spread, reaches, out)
     return out

@@ -7,7 +7,7 @@ light stage's angular resolution. The maps' rendering is what a renderer gets fr
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
@@ -39,7 +39,29 @@ def relight_olat(
 ) -> NDArray[np.float32]:
     """The object under a map, as the sum of its frames weighted by the light in each light's cell: float32 [H, W, 3].
 
-    olat_index: decode's `olat.json` (its path or content); camera: "camNN"; env_latlong [h, w, 3] linear; mask [H, W]: black
+    As `relight_frames`, for one map env_latlong [h, w, 3].
+    """
+    return relight_frames(
+        olat_index, capture_root, camera, [env_latlong], mask, irradiance=irradiance, specular_factor=specular_factor, up=up,
+        decode_folder=decode_folder,
+    )[0]  # fmt: skip
+
+
+def relight_frames(
+    olat_index: Mapping[str, Any] | Path,
+    capture_root: Path,
+    camera: str,
+    maps: Sequence[NDArray],
+    mask: NDArray[np.bool_] | None = None,
+    *,
+    irradiance: float = np.pi,
+    specular_factor: float = 2.0,
+    up: str = "y",
+    decode_folder: Path | None = None,
+) -> NDArray[np.float32]:
+    """The object under each of N maps, as sums of its frames, which are read once for all: float32 [N, H, W, 3].
+
+    olat_index: decode's `olat.json` (its path or content); camera: "camNN"; maps [h, w, 3] each, linear; mask [H, W]: black
     outside; irradiance, specular_factor: `capture.config.olat`; up: `capture.up`; decode_folder: where olat.json lies, needed
     with its content alone. Frames are read one after another.
     Raises UserError naming a frame that cannot be read.
@@ -47,11 +69,12 @@ def relight_olat(
     index = json.loads(Path(olat_index).read_text()) if isinstance(olat_index, str | Path) else olat_index
     entry = index["cameras"][camera]
     lights = index["lights"]
-    weights = irradiance_per_light(env_latlong, np.array(lights["directions"]), up)
-    weights /= irradiance * np.array(lights["intensity"])[:, None]
+    directions, colour = np.array(lights["directions"]), np.array(lights.get("colour", [[1.0, 1.0, 1.0]]))
+    weights = np.stack([irradiance_per_light(light, directions, up) for light in maps])  # [N, lights, 3]
+    weights /= irradiance * np.array(lights["intensity"])[:, None] * colour
     decode = Path(olat_index).parent if isinstance(olat_index, str | Path) else Path(decode_folder or capture_root)
     root = frames_root(index, Path(capture_root), decode)
-    out = np.zeros((int(entry["height"]), int(entry["width"]), 3))
+    out = np.zeros((len(maps), int(entry["height"]), int(entry["width"]), 3))
 
     def both(pair: tuple[str, str]) -> tuple[NDArray, NDArray]:
         return _frame(root / pair[0]), _frame(root / pair[1])
@@ -62,7 +85,9 @@ def relight_olat(
             block = pairs[start : start + 2 * READERS]
             for k, (cross, parallel) in enumerate(pool.map(both, block), start):
                 total = (2.0 - specular_factor) * cross + specular_factor * parallel  # I_d + I_s
-                out += total * weights[k]
+                total *= 0.5 if entry.get("passes") == "none" else 1.0  # no polariser took half of it
+                for image, weight in zip(out, weights[:, k]):
+                    image += total * weight
     if mask is not None:
         out *= mask[..., None]
     return np.maximum(out, 0.0).astype(np.float32)

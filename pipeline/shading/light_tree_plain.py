@@ -16,19 +16,19 @@ from .light_tree import MOST_HALVINGS, LightTree, straight_ahead
 
 
 @dataclass(frozen=True)
-class _Leaves:
+class Leaves:
     """What the lobes of many points are summed over: L leaves."""
 
     point: torch.Tensor  # [L]
     node: torch.Tensor  # [L] whose radiance arrives
-    direction: torch.Tensor  # [L, 3]
+    direction: torch.Tensor  # [L, 3] unit, towards the light
     solid_angle: torch.Tensor  # [L]
-    variance: torch.Tensor  # [L]
+    variance: torch.Tensor  # [L] of the light's direction along either axis (square radians)
 
 
 def _leaves(
     normal: torch.Tensor, view: torch.Tensor, alpha: torch.Tensor, tree: LightTree, lobe: str, tolerance: float
-) -> _Leaves:
+) -> Leaves:
     """Go down the tree for all points at once, one level after the other."""
     shape = tree.shape
     like: dict[str, Any] = {"dtype": normal.dtype, "device": normal.device}
@@ -74,7 +74,7 @@ def _leaves(
         across = torch.cat((none, 2 * across[fine].repeat_interleave(4) + (turns & 1)))
         down = torch.cat((none, 2 * down[fine].repeat_interleave(4) + (turns >> 1)))
         depth = torch.cat((none, depth[fine].repeat_interleave(4) + 1))
-    return _Leaves(*(torch.cat(parts) for parts in zip(*found)))
+    return Leaves(*(torch.cat(parts) for parts in zip(*found)))
 
 
 def _cells(
@@ -101,8 +101,8 @@ def _cells(
     return direction / length[:, None], angle, half * half / 2 * variance * shrink
 
 
-def _weights(
-    normal: torch.Tensor, view: torch.Tensor, alpha: torch.Tensor, eta: torch.Tensor, leaves: _Leaves, lobe: str
+def lobe_weights(
+    normal: torch.Tensor, view: torch.Tensor, alpha: torch.Tensor, eta: torch.Tensor, leaves: Leaves, lobe: str
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """(D G1 F d omega [L], half vectors [L, 3], v.h [L]); the light's spread about a leaf widens the lobe to second order."""
     n, v, a2, l = normal[leaves.point], view[leaves.point], alpha[leaves.point] ** 2, leaves.direction
@@ -145,7 +145,7 @@ def plain(
     alpha = roughness * roughness
     with torch.no_grad():
         leaves = _leaves(normal.detach(), view.detach(), alpha.detach(), tree, lobe, tolerance)
-    weight, h, vh = _weights(normal, view, alpha, eta, leaves, lobe)
+    weight, h, vh = lobe_weights(normal, view, alpha, eta, leaves, lobe)
     x, y = frame_x[leaves.point], frame_y[leaves.point]
     cos2, sin2 = surface_pattern(h, x, y)
     square = (h * x).sum(1) ** 2 + (h * y).sum(1) ** 2

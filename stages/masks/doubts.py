@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.geometry.axes import nearest_to_lines
 from pipeline.geometry.cameras import Camera
 from stages.masks.background import Fixation, fixation
 
@@ -45,13 +46,34 @@ def _largest(mask: NDArray[np.bool_]) -> float:
     return float(stats[1:, cv2.CC_STAT_AREA].max() / mask.sum())
 
 
+def looking_away(cameras: Sequence[Camera]) -> str | None:
+    """That most cameras have the point behind them where their axes meet, in words; None where they do not."""
+    axes = np.stack([c.world_to_camera[2, :3] for c in cameras])
+    meeting = nearest_to_lines(np.stack([c.centre for c in cameras]), axes)
+    if meeting is None:
+        return None
+    behind = sum(float(c.project(meeting)[1]) < 0 for c in cameras)
+    if behind <= MOST * len(cameras):
+        return None
+    return (
+        f"{behind} of {len(cameras)} cameras look away from the point where their axes meet (are their y and z axes negated, "
+        "as OpenCV's are for OpenGL's, or is the matrix from world to camera?)"
+    )
+
+
+def inverted(masks: Sequence[NDArray[np.bool_]]) -> int:
+    """How many of some given masks are white all around and black in the middle: the background's, not the object's."""
+    return sum(_cut(m) == 1 and not m.all() and _largest(~m) > LARGEST for m in masks)
+
+
 def one_sided(cameras: Sequence[Camera]) -> str | None:
     """How one-sided the cameras look, in words; None where they go around the object, or are too few to tell."""
     if len(cameras) < FEWEST_AROUND:
         return None
     ball: Fixation | None = fixation(list(cameras))
     if ball is None:
-        return "the cameras look in parallel and meet at no object"
+        away = looking_away(cameras)
+        return away or "the cameras look in parallel and meet at no object"
     direction = np.stack([c.centre - ball.centre for c in cameras])
     direction /= np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-12)
     mean = direction.mean(0) / max(float(np.linalg.norm(direction.mean(0))), 1e-12)

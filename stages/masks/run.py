@@ -45,6 +45,7 @@ def make_masks(stage: StageRun) -> None:
         say_if_segmentation_failed(stage, pixels, methods)
     if stage.capture.polarisation == "stokes":
         say_if_frame_looks_wrong(stage, pixels)
+    say_if_inverted(stage, pixels, methods)
     empty = [name for name in sorted(views) if views[name]["coverage"] == 0]
     if len(empty) == len(views):
         raise UserError(stage.capture.root, "no view shows the object: every mask is empty", "give masks/, white on the object")
@@ -125,6 +126,19 @@ def say_if_segmentation_failed(stage: StageRun, masks: dict[str, NDArray[np.uint
         stage.warn(
             f"{stage.capture.root}: the object could not be told from the scene ({'; '.join(faults)}): give masks in masks/, "
             "named like the views and white on the object"
+        )
+
+
+def say_if_inverted(stage: StageRun, masks: dict[str, NDArray[np.uint8]], methods: dict[str, str]) -> None:
+    """A line where most of the given masks are white on the background."""
+    from stages.masks.doubts import MOST, inverted
+
+    given = [name for name in sorted(masks) if methods[name] in GIVEN]
+    found = inverted([masks[name] > THRESHOLD for name in given])
+    if found > MOST * len(given):
+        stage.warn(
+            f"{stage.capture.root}: {found} of {len(given)} masks are white all around and black in the middle: white must be "
+            "the object; invert them"
         )
 
 

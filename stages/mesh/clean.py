@@ -9,7 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.geometry.normals import UPWARD, vertex_normals
+from pipeline.geometry.normals import UPWARD, cross_products, vertex_normals
+from pipeline.geometry.topology import edges_of, inside_out, pieces
+
+UNFOLDINGS = 20  # rounds; two or three do
 
 
 @dataclass
@@ -29,8 +32,7 @@ class Mesh:
 
     def area(self) -> NDArray[np.float64]:
         """Area of each triangle [F]."""
-        a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))
-        return np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
+        return np.linalg.norm(cross_products(self.vertices, self.faces), axis=1) / 2
 
     def normals(self) -> NDArray[np.float64]:
         """Area-weighted unit vertex normals [V, 3]; +z where a vertex has no area to tell."""
@@ -48,14 +50,9 @@ def keep_faces(mesh: Mesh, keep: NDArray[np.bool_]) -> Mesh:
 
 def largest_pieces(mesh: Mesh, share: float) -> Mesh:
     """Connected pieces of at least `share` of the largest one's area."""
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-
     if not len(mesh.faces):
         return mesh
-    edges = np.concatenate([mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]]])
-    n = len(mesh.vertices)
-    _, label = connected_components(coo_matrix((np.ones(len(edges)), edges.T), (n, n)), directed=False)
+    _, label = pieces(mesh.faces, len(mesh.vertices))
     area = np.bincount(label[mesh.faces[:, 0]], mesh.area(), label.max() + 1)
     return keep_faces(mesh, area[label[mesh.faces[:, 0]]] >= share * area.max())
 
@@ -65,6 +62,23 @@ def without_slivers(mesh: Mesh) -> Mesh:
     f = mesh.faces
     distinct = (f[:, 0] != f[:, 1]) & (f[:, 1] != f[:, 2]) & (f[:, 2] != f[:, 0])
     return keep_faces(mesh, distinct & (mesh.area() > 0))
+
+
+def unfolded(mesh: Mesh) -> Mesh:
+    """No triangle inside out: the corners of such specks move to the mean of their neighbours, until there are none."""
+    vertices = mesh.vertices
+    for _ in range(UNFOLDINGS):
+        folded = inside_out(vertices, mesh.faces)
+        if not folded.any():
+            break
+        corners = np.zeros(len(vertices), bool)
+        corners[mesh.faces[folded]] = True
+        i, j = edges_of(mesh.faces[corners[mesh.faces].any(1)])
+        ends, others = np.concatenate([i, j]), np.concatenate([j, i])
+        total = np.stack([np.bincount(ends, vertices[others, k], len(vertices)) for k in range(3)], -1)
+        count = np.bincount(ends, minlength=len(vertices))[:, None]
+        vertices = np.where(corners[:, None], total / np.maximum(count, 1), vertices)
+    return Mesh(vertices, mesh.faces, mesh.attributes)
 
 
 def in_fixed_order(mesh: Mesh) -> Mesh:

@@ -6,6 +6,7 @@ squarely and how closely it sees a point, and because its built-in one samples d
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
@@ -65,13 +66,10 @@ class Volume:
 
         self.voxel, self.truncation = voxel, truncation
         float32 = o3d.core.float32
-        margin = 4 * truncation
-        blocks = []
+        near = _BlocksNear(extent, voxel, truncation)
         for view in views:
-            points = points_of(view)
-            near = ((points > extent.low - margin) & (points < extent.high + margin)).all(1)
-            blocks.append(_blocks_near(points[near], voxel, truncation))
-        touched = np.unique(np.concatenate(blocks), axis=0)
+            near.mark(points_of(view))
+        touched = near.blocks()
         self._grid = o3d.t.geometry.VoxelBlockGrid(
             ("tsdf", "weight"), (float32, float32), ((1), (1)), voxel, BLOCK, len(touched), o3d.core.Device("CPU:0")
         )
@@ -102,10 +100,26 @@ class Volume:
         return self._grid.extract_triangle_mesh(weight_threshold=LEAST_WEIGHT)
 
 
-def _blocks_near(points: NDArray, voxel: float, truncation: float) -> NDArray[np.int32]:
-    """Sorted coordinates [B, 3] of the blocks within a truncation of any point."""
-    edge = BLOCK * voxel
-    reach = truncation + voxel
-    offsets = np.array([(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)]) * reach
-    blocks = [np.unique(np.floor((points + o) / edge).astype(np.int32), axis=0) for o in offsets]
-    return np.unique(np.concatenate(blocks), axis=0)
+class _BlocksNear:
+    """The blocks within a truncation of any point, marked in a dense grid over the object's extent and a margin."""
+
+    def __init__(self, extent: Extent, voxel: float, truncation: float) -> None:
+        self._edge, self._reach, margin = BLOCK * voxel, truncation + voxel, 4 * truncation
+        self._low, self._high = extent.low - margin, extent.high + margin
+        self._first = np.floor((self._low - self._reach) / self._edge).astype(np.int64)
+        last = np.floor((self._high + self._reach) / self._edge).astype(np.int64)
+        self._marked = np.zeros(last - self._first + 1, bool)
+
+    def mark(self, points: NDArray[np.float64]) -> None:
+        """Mark the blocks near points [N, 3]; points outside the extent and its margin are stray."""
+        points = points[((points > self._low) & (points < self._high)).all(1)]
+        steps = (-self._reach, 0.0, self._reach)
+        x, y, z = (
+            [np.floor((points[:, k] + step) / self._edge).astype(np.int64) - self._first[k] for step in steps] for k in range(3)
+        )
+        for i, j, k in itertools.product(x, y, z):
+            self._marked[i, j, k] = True
+
+    def blocks(self) -> NDArray[np.int32]:
+        """Sorted coordinates [B, 3] of the marked blocks."""
+        return (np.argwhere(self._marked) + self._first).astype(np.int32)

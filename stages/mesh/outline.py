@@ -11,7 +11,9 @@ from pipeline.geometry.rays import RayMesh
 from .clean import Mesh
 from .gbuffer import DepthView
 
-SUBSAMPLES = 2  # rays across a pixel
+ENOUGH_RAYS = 384
+"""Rays across an image from which one a pixel measures an area well: over an outline of a thousand pixels the staircase's
+error, 0.3 of a pixel each, comes to a hundredth of one. Smaller images get two."""
 
 
 def outline_gap(mesh: Mesh, views: Iterable[DepthView]) -> float:
@@ -24,15 +26,16 @@ def outline_gap(mesh: Mesh, views: Iterable[DepthView]) -> float:
     gaps = []
     for view in views:
         camera = view.camera
-        fine = camera.resized(camera.width * SUBSAMPLES, camera.height * SUBSAMPLES)
+        finer = 1 if min(camera.width, camera.height) >= ENOUGH_RAYS else 2
+        fine = camera.resized(camera.width * finer, camera.height * finer)
         covered = solid.blocked(fine.centre, fine.rays())
         if not covered.any() or not view.depth.any():
             continue
         border = covered[[0, -1]].any() or covered[:, [0, -1]].any()
         if border:
             continue  # cut off by the frame: the areas are not the object's
-        area = covered.sum() / SUBSAMPLES**2
-        gap_px = (float(view.alpha.sum()) - area) / (outline_length(covered) / SUBSAMPLES)
+        area = covered.sum() / finer**2
+        gap_px = (float(view.alpha.sum()) - area) / (outline_length(covered) / finer)
         gaps.append(gap_px * float(np.median(view.depth[view.depth > 0])) / np.sqrt(camera.fx * camera.fy))
     return float(np.median(gaps)) if gaps else 0.0
 

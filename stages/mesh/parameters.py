@@ -21,7 +21,16 @@ class MeshParameters:
         metadata={"help": "relief smaller than this follows the rendered normals instead of the depths, 0: none (edges)"},
     )
     component_pct: float = field(default=2.0, metadata={"help": "smaller pieces than this go (percent of the largest's area)"})
+    decimate: float = field(
+        default=0.5,
+        metadata={
+            "help": "triangles go as long as the surface, and so every outline, moves by less than this; 0: none go (px)"
+        },
+    )
     fill_holes: bool = field(default=True, metadata={"help": "close holes that no view sees into (such as the underside)"})
+    textures: bool = field(default=True, metadata={"help": "also write asset/: textures, and files that other programs open"})
+    texel_px: float = field(default=1.0, metadata={"help": "side of a texel, in pixel footprints on the object (px)"})
+    max_texture: int = field(default=8192, metadata={"help": "side of the largest texture (texels)"})
     poisson: bool = field(default=False, metadata={"help": "also write mesh_poisson.ply, a closed surface"})
     poisson_depth: int = field(default=8, metadata={"help": "octree depth of the Poisson surface (levels)"})
 
@@ -34,5 +43,11 @@ class MeshParameters:
             raise ValueError("truncation_voxels must lie between 1.5 and 50")
         if not 0 <= self.follow_normals <= 100:
             raise ValueError("follow_normals must lie between 0 and 100")
+        if not 0 <= self.decimate <= 100:
+            raise ValueError("decimate must lie between 0 and 100")
+        if not 0.1 <= self.texel_px <= 100:
+            raise ValueError("texel_px must lie between 0.1 and 100")
+        if not 64 <= self.max_texture <= 16384:
+            raise ValueError("max_texture must lie between 64 and 16384")
         if not 4 <= self.poisson_depth <= 12:
             raise ValueError("poisson_depth must lie between 4 and 12")

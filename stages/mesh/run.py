@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
+
 import numpy as np
 
 from pipeline.engine.stage import StageRun
@@ -9,14 +11,17 @@ from pipeline.errors import UserError
 from pipeline.formats import dataset_files as files
 from pipeline.formats.ply import write_ply
 from pipeline.geometry.cameras import load_cameras, world_offset
+from pipeline.geometry.topology import topology
 from pipeline.geometry.world_offset import ply_comment
 
 from .attributes import bake, vertex_table
-from .clean import Mesh, fill_holes, in_fixed_order, keep_faces, largest_pieces, without_slivers
+from .clean import Mesh, fill_holes, in_fixed_order, keep_faces, largest_pieces, unfolded, without_slivers
+from .decimate import decimated
 from .fusion import Extent, Volume, measure
 from .gbuffer import Views
 from .outline import outline_gap
 from .refine import following_normals
+from .textures import write_textured
 
 ROUNDS = 2  # of matching outlines: the second corrects the first by a few percent of it
 MOST_OUTWARD = 0.5  # of the truncation, where the field is still a distance
@@ -33,9 +38,13 @@ def make_mesh(run: StageRun) -> None:
     holes = 0
     if p.fill_holes:
         mesh, holes = fill_holes(mesh)
-    mesh, seen = bake(in_fixed_order(without_slivers(mesh)), views, 2 * voxel + abs(outward))
+    mesh, seen = bake(unfolded(in_fixed_order(without_slivers(mesh))), views, 2 * voxel + abs(outward))
     if p.follow_normals:
-        mesh = following_normals(mesh, p.follow_normals)
+        mesh = unfolded(following_normals(mesh, p.follow_normals))
+    if p.decimate:
+        run.progress.say(f"mesh: {len(mesh.faces)} triangles, as few as {p.decimate:g} px allow are kept")
+        mesh = in_fixed_order(unfolded(decimated(mesh, p.decimate * extent.footprint)))
+        mesh, seen = bake(mesh, views, 2 * voxel + abs(outward))
     write_ply(run.output / files.MESH, vertex_table(mesh), mesh.faces, comments=ply_comment(world_offset(cameras)))
     run.note("size", extent.size)
     run.note("voxel", voxel)
@@ -43,6 +52,10 @@ def make_mesh(run: StageRun) -> None:
     run.note("triangles", len(mesh.faces))
     run.note("vertices_seen", seen)
     run.note("holes_filled", holes)
+    for name, value in asdict(topology(mesh.vertices, mesh.faces)).items():
+        run.note(name, value)
+    if p.textures:
+        write_textured(run, mesh, views, extent.footprint)
     if p.poisson:
         _write_poisson(run, mesh, views, voxel)
 

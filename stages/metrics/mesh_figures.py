@@ -8,8 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import UserError
-from pipeline.formats.dataset_files import MESH
+from pipeline.formats.dataset_files import DISAGREEMENT, MESH
+from pipeline.formats.images import read_exr
 from pipeline.formats.ply import Ply
+from pipeline.geometry.rays import RayMesh
 from pipeline.geometry.world_offset import stored_offset
 
 from .table import Table
@@ -62,5 +64,32 @@ def mesh_table(folder: Path, truth: Path, count: int) -> Table:
     table.figures["triangles"] = len(mesh[1])
     if truth.is_file():
         table.figures |= surface_figures(mesh, read_mesh(truth), count)
+        table.figures |= seen_figures(folder / MESH, read_mesh(truth))
     table.missing(FIGURES, "the capture has no gt/mesh.ply")
+    for path in sorted((folder / DISAGREEMENT).glob("*.exr")):
+        found = read_exr(path)
+        medians = {name: float(np.median(image[image > 0])) for name, image in found.items() if (image > 0).any()}
+        table.rows.append({"view": path.stem, **{DISAGREEMENT_FIGURES[name]: v for name, v in medians.items()}})
+    table.means()
     return table
+
+
+DISAGREEMENT_FIGURES = {
+    "normal_deg": "disagreement_normal_deg", "diffuse_albedo": "disagreement_diffuse_albedo",
+    "specular_albedo": "disagreement_specular_albedo", "sigma": "disagreement_sigma",
+}  # fmt: skip
+"""Channels of a light stage's disagreement maps, and the figure that the median of each is."""
+
+
+def seen_figures(path: Path, truth: tuple[NDArray, NDArray]) -> dict[str, float]:
+    """Of a light stage's mesh, distances of the vertices that a camera sees to the truth (percent of its longest side)."""
+    ply = Ply(path)
+    if "coverage" not in ply.elements["vertex"].columns:
+        return {}
+    seen = ply.vertices(("coverage",))[:, 0] > 0
+    if not seen.any():
+        return {}
+    points = (ply.vertices() + stored_offset(path))[seen]
+    size = float(np.ptp(truth[0], axis=0).max())
+    away = np.linalg.norm(points - RayMesh(*truth).closest(points).position, axis=1) / size
+    return {"seen_median_pct": float(100 * np.median(away)), "seen_p90_pct": float(100 * np.quantile(away, 0.9))}

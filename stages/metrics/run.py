@@ -53,14 +53,25 @@ def figures(run: StageRun) -> dict[str, Table]:
                 tables[name] = train_table(inputs["train"], decode, masks, truth, frames)
                 for line in tables[name].doubts:
                     run.warn(line)
+                _say_near_light(run)
             elif name == "mesh":
                 tables[name] = mesh_table(inputs["mesh"], truth.mesh, run.parameters.mesh_samples)
             elif capture.kind == "light_stage":
                 tables[name] = light_stage_table(inputs["relight"], masks)
             else:
-                tables[name] = relight_table(inputs["relight"], truth)
+                tables[name] = relight_table(inputs["relight"], masks, truth)
             bar.advance(1)
     return tables
+
+
+def _say_near_light(run: StageRun) -> None:
+    """A line where the highlights point at a lamp inside the scene."""
+    from .near_light import near_light
+
+    found, line = near_light(run.inputs)
+    run.note("near_light", [{"q": round(c.q, 3), "error": round(c.error, 3), "highlights": c.count} for c in found])
+    if line is not None:
+        run.warn(f"{run.capture.root}: {line}")
 
 
 def _decode_table(run: StageRun) -> Table:

@@ -16,6 +16,7 @@ from pipeline.report.explained import Explained, doubts, explained
 
 from .environment_figures import environment_figures
 from .image_figures import erode, normal_figures, polarisation_figures, radiance_figures
+from .material_figures import MAPS, holes_pct, material_figures
 from .table import Table
 from .targets import read_target
 
@@ -42,6 +43,7 @@ def train_table(train: Path, decode: Path, masks: Path | None, truth: Truth, fra
     table.missing(NORMALS, "the capture has no gt/normal")
     behind = frames.get("polarisation") == "polarisers"
     table.missing(RADIANCE, "the views were taken behind polarisers: s0 is not measured" if behind else "no test view")
+    table.missing(MAPS, "the capture has no gt/material/VIEW.exr")
     table.missing(POLARISATION, "the capture holds no Stokes vectors of its views")
     _material(table, truth)
     _environment(table, train, truth)
@@ -64,6 +66,10 @@ def _view_figures(
     if not inside.any():
         return {}
     out = {"ior_mean": float(surface.ior[inside].mean()), "roughness_mean": float(surface.roughness[inside].mean())}
+    out["holes_pct"] = holes_pct(surface.alpha, inside)
+    true_material = truth.find("material", view)
+    if true_material is not None:
+        out |= material_figures(true_material, surface, inside)
     if true_normal is not None and true_normal.shape == normal.shape:
         out |= normal_figures(normal, true_normal, inside)
     if target.rgb.shape != stokes[:, :, 0].shape:

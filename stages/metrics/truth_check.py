@@ -15,10 +15,11 @@ from pipeline.formats.arrays import array_names, array_shape
 from pipeline.formats.images import channel_names, image_size, read_image
 from pipeline.formats.json_file import read_json
 
+from .material_figures import CHANNELS as MATERIAL
 from .mesh_figures import read_mesh
 
 MEND = "mend or remove it"
-CHANNELS = {"normal": ("X", "Y", "Z"), "relight": ("S0.R", "S0.G", "S0.B")}
+CHANNELS = {"normal": ("X", "Y", "Z"), "relight": ("S0.R", "S0.G", "S0.B"), "material": MATERIAL}
 """Of the images in gt/FOLDER that are compared with."""
 MAPS = {"mask": (), "normal": (3,), "albedo": (3, 4), "dp_du": (3, 4)}
 """Arrays of maps.npz: the mask [H, W], the others [H, W, this many]; dp_du alone may be absent."""
@@ -50,7 +51,7 @@ def _check_image(path: Path, kind: str, size: tuple[int, int] | None, whole: boo
     missing = [c for c in channels if c.lower() not in have]
     if missing:
         raise UserError(path, f"has no channel {', '.join(missing)}", MEND)
-    if kind == "relight" and size is not None and image_size(path) != size:
+    if kind in ("relight", "material") and size is not None and image_size(path) != size:
         have_size, want = (f"{w}x{h}" for w, h in (image_size(path), size))
         raise UserError(path, f"is {have_size}, its view {want}", "render it in the view's size, or remove it")
     if whole:

@@ -20,20 +20,19 @@ from pipeline.formats.dataset_files import FITTED_LOBE
 from pipeline.geometry.cameras import Camera
 from pipeline.rig.light_table import LightTable
 from pipeline.rig.lobe_names import LOBES
-from pipeline.rig.solid_angles import solid_angles
 from stages.olat.evidence.after_fits import Verdict
 from stages.olat.evidence.before_fits import check_capture, check_rig
 from stages.olat.maps.footprint import with_neighbours
 from stages.olat.maps.map_files import MapWriter
 from stages.olat.maps.preview import write_preview
 from stages.olat.parameters import OlatParameters, every
-from stages.olat.pixel_fit.fit_options import SPECULAR_FITS, FitOptions
+from stages.olat.pixel_fit.fit_options import PASSES, SPECULAR_FITS, FitOptions
 from stages.olat.pixel_fit.lobe_choice import CANDIDATES, choose
 from stages.olat.pixel_fit.many_pixels import fit, load, ready
 from stages.olat.pixel_fit.result_layout import map_slices
 from stages.olat.reading.frame_reader import Samples, ahead
 from stages.olat.reading.misregistration import WARN_PX, Misregistration
-from stages.olat.reading.rig_cameras import PILOT, CameraJob, decoded
+from stages.olat.reading.rig_cameras import PILOT, CameraJob, decoded, light_rig
 from stages.olat.reading.scanline_bands import Band, parts_of
 from stages.olat.reading.stream import Lanes, Piece
 
@@ -58,6 +57,7 @@ def run(stage: StageRun, lanes: Lanes) -> None:
     stage.note("overexposure", {"run": bound, "reason": why if parameters.overexposure != "off" else "overexposure=off"})
     stage.note("lights", {"used": len(rig), "of": len(index["lights"]["directions"])})
     settings = settings_of(parameters, stage.capture.config.olat, float(level) if bound and level is not None else np.inf)
+    settings = settings._replace(one_pass=PASSES[lanes.jobs[0][0].passes])  # all cameras have the same
     half = lanes.jobs[0][0].half
     if not ready(half, parameters.precision):
         stage.progress.say("compiling the fits for this machine (once; about a minute)")
@@ -101,27 +101,16 @@ def _begun(taken: list[Piece], pieces: Iterator[Piece]) -> Iterator[Piece]:
     yield from pieces
 
 
-def light_rig(index: dict[str, Any], step: int = 1) -> LightTable:
-    """The lights of olat.json, each `step`-th, with solid angles (computed where the table has none)."""
-    table = index["lights"]
-    directions = np.array(table["directions"])[::step]
-    positions = np.array(table["positions"])[::step]
-    intensity = np.array(table["intensity"])[::step]
-    given = table.get("solid_angle")
-    area = np.array(given) if given is not None and step == 1 else solid_angles(directions)
-    return LightTable(directions, positions, intensity, area)
-
-
 def settings_of(parameters: OlatParameters, config: Any, saturation: float) -> FitOptions:
     """Kernel settings from the stage's parameters and the capture's [olat] facts."""
-    lobe = LOBES["ward" if parameters.lobe == "auto" else parameters.lobe]
     return FitOptions(
-        lobe=lobe, rounds=8, robust=2, steps=15, tolerance=TOLERANCE[parameters.precision], saturation=saturation,
+        lobe=LOBES["ward" if parameters.lobe == "auto" else parameters.lobe], rounds=8, robust=2, steps=15,
+        tolerance=TOLERANCE[parameters.precision], saturation=saturation,
         specular_factor=config.specular_factor, irradiance=config.irradiance, gain=GAIN, mixed=MIXED,
         prior=PRIOR, plain=parameters.diffuse_fit == "active-set",
         specular_fit=SPECULAR_FITS[parameters.specular_fit], fuse_correlation=parameters.fusion == "correlation",
         printed_maps=parameters.maps == "printed", remove=parameters.overexposure == "remove",
-        gradient=parameters.solver == "gradient",
+        gradient=parameters.solver == "gradient", one_pass=PASSES["both"],
     )  # fmt: skip
 
 
@@ -140,7 +129,8 @@ def choose_lobe(stage: StageRun, pilot: list[Piece], rig: LightTable, settings: 
     points = nearest_points(camera, view) if stage.capture.config.olat.near_light else None
 
     def rows_of(name: str) -> NDArray[np.float64]:
-        return fit(cross, parallel, view, rig, settings._replace(lobe=LOBES[name]), parameters.precision, points)[0]
+        own = settings._replace(lobe=LOBES[name])
+        return fit(cross, parallel, view, rig, own, parameters.precision, points)[0]
 
     found = {name: rows_of(name) for name in CANDIDATES}
     choice = choose(found)
@@ -177,8 +167,7 @@ def fitted(
 def write_camera(stage: StageRun, job: CameraJob, parts: Iterator[Part], settings: FitOptions) -> None:
     """Finish and write the maps of one camera from its parts."""
     parameters: OlatParameters = stage.parameters
-    surface = parameters.widths == "surface"
-    verdict, directed = Verdict(), 0
+    surface, verdict, directed = parameters.widths == "surface", Verdict(), 0
     misregistration: Misregistration | None = None
     with (
         stage.progress.bar(f"fitting {job.name}", int(job.mask.sum()), "px") as bar,

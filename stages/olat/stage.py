@@ -7,6 +7,7 @@ from pathlib import Path
 
 from pipeline.capture import Capture
 from pipeline.engine.stage import Decision, Stage, StageRun
+from stages import memory_estimate
 from stages.olat.parameters import OlatParameters
 
 
@@ -35,7 +36,16 @@ def capture_files(capture: Capture) -> Iterable[Path]:
     stage = capture.light_stage
     if stage is None:
         return []
-    return [path for camera in stage.cameras.values() for path in (*camera.cross, *camera.parallel)]
+    return [path for camera in stage.cameras.values() for path in camera.frames]
+
+
+def memory(capture: Capture, parameters: OlatParameters, jobs: int) -> float:
+    """MiB at its peak."""
+    from stages.olat.pixel_fit.many_pixels import ready
+
+    assert capture.light_stage is not None
+    half = all(c.cross and c.cross[0].suffix.lower() == ".exr" for c in capture.light_stage.cameras.values())
+    return memory_estimate.olat(capture, parameters, jobs, ready(half, parameters.precision))
 
 
 def run(stage: StageRun) -> None:
@@ -53,11 +63,12 @@ def run(stage: StageRun) -> None:
 
 STAGE = Stage(
     name="olat",
-    version=8,
+    version=9,
     parameters=OlatParameters,
     needs=("decode", "masks"),
     needed=needed,
     run=run,
     capture_files=capture_files,
     config=("olat", "radiometry"),
+    memory=memory,
 )

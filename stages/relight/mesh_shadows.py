@@ -14,7 +14,7 @@ from pipeline.shading import Occlusion
 from pipeline.shading.transfer import Attachment, SurfaceLight, Transfer
 
 from .deferred import Lamp, ShadingModel, Surface
-from .turntable import read_baked_mesh
+from .mesh_images import read_baked_mesh
 
 TRANSFER_TEXELS = 16  # along a cube face: shadows' edges are 6 degrees wide
 FACES = 20_000  # of the mesh that throws them
@@ -50,11 +50,33 @@ class SelfOcclusion:
         values = torch.cat([light.shadow, light.bounced], 1).numpy()
         return np.einsum("vk,vkc->vc", weight, values[index]).astype(np.float32)
 
-    def attach(self, surface: Surface, own_rays: bool = False) -> Attachment:
+    def surface(self) -> tuple[NDArray, NDArray]:
+        """The coarse mesh's vertices and outward normals [V, 3] in the world."""
+        mesh = self._transfer.occluder
+        return mesh.vertices @ self._turn, mesh.normals @ self._turn
+
+    def lit(self, received: torch.Tensor) -> SurfaceLight:
+        """Light at the mesh's vertices that receive [V, 3] (`sampled_light.received`) from lamps that are no map."""
+        return self._transfer.lit(received)
+
+    def starts(self, position: NDArray, normal: NDArray) -> NDArray:
+        """Where shadow rays of points [P, 3] with unit normals [P, 3] begin: on the mesh, lifted off it."""
+        return self._on_mesh(position @ self._turn.T) + self._transfer.occluder.lift * (normal @ self._turn.T)
+
+    def hidden(self, starts: NDArray, directions: NDArray, distances: NDArray) -> NDArray[np.bool_]:
+        """Whether the mesh lies between rays' `starts` [R, 3] and what is that far [R] in world directions [R, 3]."""
+        return self._transfer.occluder.hidden(starts, directions @ self._turn.T, distances)
+
+    def _on_mesh(self, points: NDArray) -> NDArray:
+        """Blended depths lie a little inside the mesh: the nearest points on it."""
+        mesh = self._transfer.occluder
+        near = mesh.nearest(points)
+        return np.einsum("pk,pkc->pc", near.weights, mesh.vertices[near.vertices])
+
+    def attach(self, surface: Surface, own_rays: bool = False, name: str = "") -> Attachment:
         """Rays of a view's points: they hold for every map. own_rays: also for diffuse light (`Transfer.attach`)."""
         points, normals, view = (np.asarray(v @ self._turn.T) for v in (surface.position, surface.normal, surface.view))
-        near = self._transfer.occluder.nearest(points)  # blended depths lie a little inside the mesh: rays start on it
-        points = np.einsum("pk,pkc->pc", near.weights, self._transfer.occluder.vertices[near.vertices])
+        points = self._on_mesh(points)
         return self._transfer.attach(points, normals, view, surface.material[:, 3], lobe=self._lobe, own_rays=own_rays)
 
     def at(self, attachment: Attachment, light: SurfaceLight) -> Occlusion:

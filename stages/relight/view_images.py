@@ -2,69 +2,31 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import Any
 
 from pipeline.capture.naming.safe_names import environment_name
 from pipeline.engine.stage import StageRun
 from pipeline.errors import UserError
 from pipeline.formats import dataset_files as files
-from pipeline.formats.backdrop import grown
-from pipeline.formats.gbuffer import read_gbuffer
-from pipeline.formats.images import read_mask, srgb_encode, write_png, write_stokes
-from pipeline.geometry.cameras import Camera, load_cameras
+from pipeline.formats.images import srgb_encode, write_png, write_stokes
+from pipeline.geometry.cameras import load_cameras, world_offset
 
 from .deferred import Lamp, ShadingModel, Surface
 from .environment_map import read_map
-
-if TYPE_CHECKING:
-    from .mesh_shadows import SelfOcclusion
-
-LEAST_ALPHA = 1 / 255  # below it nothing shows in any display
-
-
-@dataclass(frozen=True)
-class ViewPixels:
-    """A view's shaded pixels: where they are, how opaque, and their surface."""
-
-    size: tuple[int, int]  # height, width
-    index: NDArray[np.int64]
-    alpha: NDArray[np.float32]
-    surface: Surface
-
-    def image(self, stokes: NDArray) -> NDArray[np.float32]:
-        """Stokes image [H, W, 3, 3], black where there is no object."""
-        out = np.zeros((self.size[0] * self.size[1], 3, 3), np.float32)
-        out[self.index] = np.nan_to_num(stokes) * self.alpha[:, None, None]
-        return out.reshape(*self.size, 3, 3)
-
-
-def read_view(path: Path, camera: Camera, mask: Path | None) -> ViewPixels:
-    """A view's G-buffer as shaded pixels; outside the mask (and the pixel beside it, half covered) there are none."""
-    g = read_gbuffer(path)
-    height, width = g.alpha.shape
-    camera = camera.resized(width, height)
-    shown = (g.alpha > LEAST_ALPHA) & (np.linalg.norm(g.normal, axis=-1) > 0.5)
-    if mask is not None and mask.exists():
-        inside = read_mask(mask)
-        if inside.shape == shown.shape:
-            shown &= grown(inside)
-    index = np.flatnonzero(shown)
-    rays = camera.rays()
-    frame_x, frame_y = camera.stokes_frame()
-    along = rays @ camera.world_to_camera[2, :3]  # z of a unit ray
-    position = camera.centre + rays * (g.depth / along)[..., None]
-    images = (position, g.normal, -rays, g.material, frame_x, frame_y)
-    surface = Surface(*(v.reshape(-1, v.shape[-1])[index] for v in images))
-    return ViewPixels((height, width), index, g.alpha.ravel()[index], surface)
+from .given_files import given_file
+from .indirect import Indirect, indirect_light, traced
+from .lighting import Lighting, MapLighting
+from .lights_file import moved, read_lights
+from .mesh_images import BakedMesh
+from .placed_lights import PlacedLighting
+from .turntable import write_moving_pictures
+from .view_pixels import read_view
 
 
 def relight_views(run: StageRun) -> None:
-    """Write ENV/VIEW.exr and .png for every view and map, and turntables when asked.
+    """Write ENV/VIEW.exr and .png for every view and map, and moving pictures when asked.
 
     Views are the outer loop: a view's G-buffer is read, and its rays are cast, once for all maps.
     """
@@ -76,27 +38,46 @@ def relight_views(run: StageRun) -> None:
     if not paths:
         raise UserError(train / files.GBUFFERS, "there are no G-buffers", "run the train stage again")
     model = ShadingModel.read(train / files.LIGHTING, run.capture.up, p.mirror)
-    lamps = {environment_name(path): _lamp(run, path, model) for path in run.environments}
-    occluder = _occluder(run, model)
-    lit = {name: occluder.under(lamp) for name, lamp in lamps.items()} if occluder else {}
+    occluder = indirect_light(run, model)
+    lights: dict[str, Lighting] = {environment_name(q): MapLighting(_lamp(run, q, model), occluder) for q in run.environments}
+    if (placed := given_file(run.capture, p.lights, "relight.lights")) is not None:
+        standing = moved(read_lights(placed), world_offset(run.inputs["poses"] / files.CAMERAS))
+        lights[environment_name(placed)] = PlacedLighting(standing, model, traced(run, model, occluder))
     masks = run.inputs.get("masks")
-    with run.progress.bar("relighting", total=len(lamps) * len(paths), unit="images") as bar:
+    mesh = BakedMesh(run.inputs["mesh"] / files.MESH) if "mesh" in run.inputs else None
+    with run.progress.bar("relighting", total=len(lights) * len(paths), unit="images") as bar:
         for view, gbuffer in paths.items():
-            pixels = read_view(gbuffer, cameras[view], files.mask(masks, view) if masks else None)
-            attachment = occluder.attach(pixels.surface, p.shadow_rays == "pixel") if occluder else None
-            for name, lamp in lamps.items():
-                occlusion = occluder.at(attachment, lit[name]) if occluder and attachment else None
-                stokes = pixels.image(lamp.stokes(pixels.surface, occlusion))
-                write_stokes(files.relit(run.output / name, view), stokes)
+            pixels = read_view(gbuffer, cameras[view], files.mask(masks, view) if masks else None, mesh)
+            surfaces = [pixels.surface] + ([pixels.outlines.seen.surface] if pixels.outlines else [])
+            ties = Ties(surfaces, p.shadow_rays == "pixel", view)
+            for name, lighting in lights.items():
+                image = pixels.image(*(lighting.of_view(s, tie) for s, tie in zip(surfaces, ties.to(lighting.occluder))))
+                write_stokes(files.relit(run.output / name, view), image)
                 if p.previews:
-                    write_png(run.output / name / f"{view}.png", srgb_encode(stokes[:, :, 0]))
+                    write_png(run.output / name / f"{view}.png", srgb_encode(image[:, :, 0]))
                 bar.advance(1)
-    if p.turntable:
-        from .turntable import write_turntable
+    write_moving_pictures(run, cameras, lights, mesh, given_file(run.capture, p.cameras, "relight.cameras"))
 
-        for name, lamp in lamps.items():
-            received = occluder.on_mesh(lit[name]) if occluder else None
-            write_turntable(run, lamp, cameras, run.output / name, received)
+
+class Ties:
+    """A view's surfaces, tied to each occluder once, for all lights.
+
+    own_rays: cast rays of the surfaces' own points, too; view: its name.
+    """
+
+    def __init__(self, surfaces: Sequence[Surface], own_rays: bool, view: str) -> None:
+        self._surfaces, self._own_rays, self._view = surfaces, own_rays, view
+        self._made: dict[int, list[Any]] = {}
+
+    def to(self, occluder: Indirect | None) -> list[Any]:
+        """What an occluder's lights need of each surface; None of one without points, or where nothing is occluded."""
+        if occluder is None:
+            return [None] * len(self._surfaces)
+        if id(occluder) not in self._made:
+            self._made[id(occluder)] = [
+                occluder.attach(s, self._own_rays, self._view) if len(s.position) else None for s in self._surfaces
+            ]
+        return self._made[id(occluder)]
 
 
 def _lamp(run: StageRun, path: Path, model: ShadingModel) -> Lamp:
@@ -104,17 +85,3 @@ def _lamp(run: StageRun, path: Path, model: ShadingModel) -> Lamp:
     for fault in faults:
         run.warn(fault)
     return Lamp(radiance, run.parameters.cube, model)
-
-
-def _occluder(run: StageRun, model: ShadingModel) -> SelfOcclusion | None:
-    """What shadows the model throws on itself, or None where they are off."""
-    wanted = run.parameters.occlusion == "on" or (run.parameters.occlusion == "auto" and model.occlusion)
-    mesh = run.inputs.get("mesh")
-    if not wanted or mesh is None:
-        reason = "relight.occlusion=off" if run.parameters.occlusion == "off" else "training saw no self-occlusion"
-        run.note("occlusion", {"run": False, "reason": reason})
-        return None
-    from .mesh_shadows import SelfOcclusion
-
-    run.note("occlusion", {"run": True, "reason": "the object occludes itself: shadows and bounces from the mesh"})
-    return SelfOcclusion(mesh / files.MESH, model)

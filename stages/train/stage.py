@@ -5,6 +5,7 @@ from __future__ import annotations
 from pipeline.capture import Capture
 from pipeline.capture.view_rules import MIN_TRAINING_VIEWS
 from pipeline.engine.stage import Decision, Stage, StageRun
+from stages import memory_estimate
 
 from .parameters import TrainParameters
 
@@ -29,11 +30,12 @@ def needed(capture: Capture, parameters: TrainParameters) -> Decision:
         "none": Decision(False, "RGB only"),
     }[mode]
     angles = Decision(bool(unknown), ", ".join(map(known, unknown)) if unknown else "no unknown polariser angle")
-    occlusion = Decision(parameters.occlusion, "decided from the trained shape" if parameters.occlusion else "switched off")
+    off = parameters.indirect == "none"
+    indirect = Decision(not off, "switched off" if off else f"{parameters.indirect}, if the trained shape hides any of itself")
     why = "switched on" if parameters.concavities == "on" else "full Stokes tells hollows from the hull"
     why_not = "switched off" if parameters.concavities == "off" else "only full Stokes is evidence enough"
     concavities = Decision(True, why) if parameters.searches_concavities(mode) else Decision(False, why_not)
-    passes = {"polarisation_loss": polarised, "polariser_angles": angles, "occlusion": occlusion, "concavities": concavities}
+    passes = {"polarisation_loss": polarised, "polariser_angles": angles, "indirect": indirect, "concavities": concavities}
     return Decision(True, f"{len(capture.views)} views of one object", passes)
 
 
@@ -51,11 +53,12 @@ def run(stage: StageRun) -> None:
 
 STAGE = Stage(
     name="train",
-    version=6,
+    version=7,
     parameters=TrainParameters,
     needs=("decode", "poses", "masks"),
     needed=needed,
     run=run,
     config=("up", "polarisers"),
     device=True,
+    memory=memory_estimate.train,
 )

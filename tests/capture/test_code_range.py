@@ -65,6 +65,11 @@ def test_whole_sixteen_bits_and_dark_pictures_say_nothing(tmp_path, gain):
     assert mosaics(tmp_path / "dark", 12, 0.9).warnings == ()
 
 
+def test_codes_that_end_low_without_clipping_are_a_fact_to_look_at(tmp_path):
+    said = {bits: [f for f in mosaics(tmp_path / f"{bits}", bits, 2.0).facts if "_level" in f] for bits in (10, 12, 16)}
+    assert "radiometry.white_level = 1023" in said[10][0] and "radiometry.white_level = 4095" in said[12][0] and not said[16]
+
+
 def test_an_even_background_is_no_clipping():
     image = np.full((64, 64), 30000, np.uint16)
     image[20:40, 20:40] = np.arange(400).reshape(20, 20) * 50

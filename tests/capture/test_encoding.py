@@ -6,6 +6,7 @@ import pytest
 from pipeline.capture import open_capture
 from pipeline.capture.angle_stack.solve import polariser_design
 from pipeline.capture.radiometry.encoding import find_encoding, mosaic_codes
+from pipeline.formats.images import srgb_encode
 from tests.capture.little_captures import ANGLES, ORDER, behind, codes, dolp, mosaic, stokes, write
 
 
@@ -120,3 +121,14 @@ def test_noise_alone_decides_nothing():
     ]
     assert all(f is None or f.encoding is None or abs(f.share - 0.5) > 4 * f.error for f in decided)
     assert sum(f is not None and f.encoding == "srgb" for f in decided) == 0
+
+
+def test_a_single_place_decides_nothing():
+    """All misfit in one place agrees with itself: its error seems to be nought. Many places do decide."""
+    design = polariser_design((0, 45, 90, 135))
+    stokes = np.repeat([[0.5], [0.0], [0.0]], 200, axis=1)
+    for chosen, found in ((slice(50, 51), None), (slice(0, 200), "srgb")):
+        stokes[1, chosen], stokes[2, chosen] = 0.4, 0.1
+        codes = srgb_encode((design @ stokes).clip(0, 1)).astype(np.float32)
+        finding = find_encoding(codes, design)
+        assert (finding.encoding if finding is not None else None) == found

@@ -70,6 +70,20 @@ def test_damage_anywhere_is_one_line_or_openimageios_own_word(tmp_path):
             assert "\n" not in str(fault)
 
 
+@pytest.mark.parametrize("name", ["lineOrder", "compression"])
+def test_a_header_that_openexr_would_refuse_is_left_to_it(tmp_path, name):
+    """Else decode would pass on a file that no later stage can read."""
+    path = write(tmp_path / "a.exr", scene())
+    damaged = bytearray(path.read_bytes())
+    at = damaged.index(name.encode() + b"\0")  # the name, then the type, then the length
+    at = damaged.index(b"\0", at + len(name) + 1) + 1
+    damaged[at] ^= 4
+    path.write_bytes(damaged)
+    assert open_zip_exr(path) is None
+    with pytest.raises(UserError, match=r"a\.exr"):
+        read_linear(path, RadiometryConfig())
+
+
 def test_rows_stored_from_the_bottom_up_are_read(tmp_path):
     path = tmp_path / "a.exr"
     spec = oiio.ImageSpec(53, 37, 9, "half")

@@ -5,7 +5,9 @@ import pytest
 
 from pipeline.capture import open_capture
 from pipeline.errors import UserError
-from tests.capture.little_captures import ANGLES, behind, codes, dolp, mosaic, raw, stokes, write
+from pipeline.formats.images import read_image
+from tests.capture.little_captures import ANGLES, behind, codes, dolp, mosaic, raw, stokes
+from tests.capture.little_captures import write as write_file
 
 
 def views(root, exposures, bright=None, suffix="tif", seconds=True):
@@ -14,7 +16,7 @@ def views(root, exposures, bright=None, suffix="tif", seconds=True):
         header = {"ExposureTime": stated / 100} if seconds and stated else {}
         light = np.repeat(stokes(i)[:, :, 0] * 0.3 * have, 1, 0)
         pixels = light.astype(np.float16) if suffix == "exr" else codes(light)
-        write(root / "images" / f"{i:03d}.{suffix}", pixels, **header)
+        write_file(root / "images" / f"{i:03d}.{suffix}", pixels, **header)
     return open_capture(root)
 
 
@@ -43,7 +45,7 @@ def test_iso_and_aperture_count_like_time(tmp_path, header):
     for i in range(4):
         stated = {"ExposureTime": 0.01, "FNumber": 8.0, "Exif__PhotographicSensitivity": 100}
         stated[name.replace(":", "__")] = values[i % 2]
-        write(tmp_path / "images" / f"{i}.png", codes(stokes(i)[:, :, 0] * 0.2 * factors[i % 2]), **stated)
+        write_file(tmp_path / "images" / f"{i}.png", codes(stokes(i)[:, :, 0] * 0.2 * factors[i % 2]), **stated)
     capture = open_capture(tmp_path)
     assert not capture.warnings
     levels = [np.median(v.read().rgb / stokes(i)[:, :, 0]) for i, v in enumerate(capture.views)]
@@ -54,7 +56,9 @@ def test_a_stack_of_automatic_exposures_keeps_its_polarisation(tmp_path):
     for i in range(2):
         for k, angle in enumerate(ANGLES):
             e = (1, 1.5, 2, 1.25)[k]
-            write(tmp_path / "images" / f"{i}_{angle:03d}.tif", codes(behind(stokes(i), angle) * 0.4 * e), ExposureTime=e / 100)
+            write_file(
+                tmp_path / "images" / f"{i}_{angle:03d}.tif", codes(behind(stokes(i), angle) * 0.4 * e), ExposureTime=e / 100
+            )
     capture = open_capture(tmp_path)
     assert not capture.warnings
     for i, view in enumerate(capture.views):
@@ -65,7 +69,7 @@ def test_a_stack_of_automatic_exposures_keeps_its_polarisation(tmp_path):
 
 def test_mosaics_of_different_exposures(tmp_path):
     for i, e in enumerate((1, 1, 3)):
-        write(tmp_path / "images" / f"{i}.png", codes(mosaic(stokes(i)) * 0.3 * e), "Y", ExposureTime=e / 200)
+        write_file(tmp_path / "images" / f"{i}.png", codes(mosaic(stokes(i)) * 0.3 * e), "Y", ExposureTime=e / 200)
     capture = open_capture(tmp_path)
     assert capture.layout == "mosaic"
     for i, view in enumerate(capture.views):
@@ -112,3 +116,31 @@ def test_exposures_that_some_files_do_not_tell_are_said_and_not_used(tmp_path):
     (line,) = capture.warnings
     assert "002.tif" in line and "radiometry.exposure_s" in line
     np.testing.assert_allclose(capture.views[1].read().rgb, stokes(1)[:, :, 0] * 0.9, atol=1e-4)
+
+
+def two_folders(root, scene, write, seconds, bright):
+    """The photographs of two cameras, each folder of one exposure: `seconds` stated, `bright` as the pixels have it."""
+    write.two_camera(root, scene)
+    for camera, stated, have in zip(("lp0", "lp1"), seconds, bright):
+        for path in sorted((root / camera / "images").glob("*.exr")):
+            write_exr_with(path, have, stated)
+    return open_capture(root)
+
+
+def write_exr_with(path, factor, seconds):
+    pixels = read_image(path) * np.float32(factor)
+    path.unlink()
+    write_file(path, pixels.astype(np.float16), ExposureTime=seconds)
+
+
+def test_two_cameras_of_two_folders_are_brought_to_one_exposure(tmp_path, scene, write):
+    plain = two_folders(tmp_path / "even", scene, write, (0.01, 0.01), (1, 1))
+    capture = two_folders(tmp_path / "other", scene, write, (0.01, 0.04), (1, 4))
+    assert not capture.warnings and sum("divided out" in fact for fact in capture.facts) == 1
+    for even, other in zip(plain.views, capture.views):
+        np.testing.assert_allclose(other.read().rgb, even.read().rgb, rtol=2e-3, atol=1e-4)
+
+
+def test_two_cameras_that_contradict_their_headers_are_named_once(tmp_path, scene, write):
+    capture = two_folders(tmp_path, scene, write, (0.01, 0.04), (1, 1))
+    assert sum("equally bright" in line for line in capture.warnings) == 1

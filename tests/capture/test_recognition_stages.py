@@ -1,5 +1,7 @@
 """Light stages are understood whatever their folders are called; pictures under one light each are never taken for views."""
 
+import shutil
+
 import numpy as np
 import pytest
 
@@ -168,17 +170,56 @@ def lit_from_around(root, count=13, name="{:03d}.png", ambient=0.0, size=96):
     return np.array(lights)
 
 
-@pytest.mark.parametrize("table", ["light_directions.txt", "dome.lp", "lights.csv", "Dome RTI.LP", "LSX3_light_positions.txt"])
+@pytest.mark.parametrize("table", ["light_directions.txt", "dome.lp", "lights.csv", "Dome RTI.LP"])
 @pytest.mark.parametrize("place", ["", "images/", "ballPNG/"])
-def test_a_light_table_beside_pictures_is_no_set_of_views(table, place, tmp_path):
-    for k in range(3):
+def test_a_light_table_beside_pictures_is_a_stage_of_one_pass(table, place, tmp_path):
+    """Photometric stereo's folders, with the mask and the truth that lie among the pictures."""
+    for k in range(4):
         ball.write(tmp_path / f"{place}{k:03d}.png", np.full((16, 16, 3), 900 * (k + 1), np.uint16))
-    text = {".txt": "0 0 1\n" * 3, ".csv": "index,x,y,z\n0,0,0,1\n"}.get(table[-4:], "3\n" + "000.png 0 0 1\n" * 3)
-    (tmp_path / (place if place != "images/" else "") / table).write_text(text)
-    with pytest.raises(UserError) as caught:
+    for name in ("mask.png", "Normal_gt.png"):
+        ball.write(tmp_path / f"{place}{name}", np.full((16, 16, 3), 65535, np.uint16))
+    directions = [(0.1 * k, 0.2, 1) for k in range(4)]
+    rows = {".txt": [f"{x} {y} {z}" for x, y, z in directions],
+            ".csv": ["index,x,y,z", *(f"{k},{x},{y},{z}" for k, (x, y, z) in enumerate(directions))]}  # fmt: skip
+    named = ["4", *(f"{k:03d}.png {x} {y} {z}" for k, (x, y, z) in enumerate(directions))]
+    (tmp_path / (place if place != "images/" else "") / table).write_text("\n".join(rows.get(table[-4:], named)) + "\n")
+    capture = open_capture(tmp_path)
+    camera = capture.light_stage.cameras["cam00"]
+    assert camera.passes == "none" and [p.stem for p in camera.frames] == ["000", "001", "002", "003"]
+    assert camera.mask.name == "mask.png" and any("without polarisers" in fact for fact in capture.facts)
+    np.testing.assert_allclose(camera.camera.rays(), np.broadcast_to([0, 0, -1], (16, 16, 3)), atol=2e-3)
+    unit = np.array(directions) / np.linalg.norm(directions, axis=1, keepdims=True)
+    np.testing.assert_allclose(capture.light_stage.lights.directions, unit, atol=1e-6)
+
+
+def test_half_of_a_table_beside_pictures_is_one_line(tmp_path):
+    for k in range(3):
+        ball.write(tmp_path / f"{k:03d}.png", np.full((16, 16, 3), 900 * (k + 1), np.uint16))
+    (tmp_path / "LSX3_light_positions.txt").write_text("0 0 1\n" * 3)
+    with pytest.raises(UserError, match="LSX3"):
         open_capture(tmp_path)
-    line = str(caught.value)
-    assert table in line and "cross polarised frames" in line and "parallel" in line and "cameras/cameraNN.txt" in line
+
+
+@pytest.mark.parametrize("kept", ["cross", "parallel"])
+def test_a_camera_may_have_one_pass_alone(kept, tmp_path):
+    directions = ball.write_stage(tmp_path, LIGHTS)
+    (tmp_path / "lights.csv").write_text(ball.lights_csv(directions))
+    for folder in list(tmp_path.rglob("*")):
+        if folder.is_dir() and folder.name in {"cross", "parallel"} - {kept}:
+            shutil.rmtree(folder)
+    capture = open_capture(tmp_path)
+    cameras = capture.light_stage.cameras.values()
+    assert cameras and all(c.passes == kept and len(c.frames) == LIGHTS and c.cross == c.parallel for c in cameras)
+
+
+def test_each_lights_colour_is_taken_out_of_its_frame(tmp_path):
+    directions = ball.write_stage(tmp_path, LIGHTS, name="{:03d}.png")
+    np.savetxt(tmp_path / "light_directions.txt", directions)
+    colours = 1 + 0.3 * np.sin(np.arange(3 * LIGHTS)).reshape(LIGHTS, 3)
+    np.savetxt(tmp_path / "light_intensities.txt", colours)
+    lights = open_capture(tmp_path).light_stage.lights
+    white = lights.intensity[:, None] / lights.gains
+    np.testing.assert_allclose(white / white[0], colours / colours[0], rtol=1e-6)
 
 
 def test_a_linear_program_is_no_light_table(tmp_path):

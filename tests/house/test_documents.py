@@ -36,6 +36,7 @@ SHORT_NAME = re.compile(r"([A-Za-z_]\w*)\.([a-z_]\w*)")
 PARAMETER = re.compile(rf"(?<![\w./`-])`?({'|'.join(STAGES)})\.([a-z]\w*)\b(?:=(\w[\w-]*))?")
 PLACEHOLDER = re.compile(r"\b[A-Z]{3,}\b")  # stages/NAME/
 DATA_ENDINGS = {"bin", "csv", "exr", "hdr", "html", "json", "md", "npy", "npz", "ply", "png", "toml", "txt", "webp", "xml"}
+DATA_ENDINGS |= {"glb", "mtl", "mtlx", "obj", "usdz"}
 
 
 def data_folders() -> set[str]:

@@ -16,7 +16,6 @@ FILE_LINES, FUNCTION_LINES = 250, 50
 # what gets shorter is lowered or taken out.
 LONG_FILES = {
     "pipeline/capture/mosaic/demosaic_kernels.py": (270, "numba compiles a file's kernels together: one file, one cache"),
-    "pipeline/engine/cli.py": (310, "the commands, each a short function"),
     "pipeline/kernels/simd.py": (290, "one intrinsic after the other, each a few lines of LLVM"),
     "pipeline/rig/lobes.py": (310, "the lobes, each with its derivatives beside it"),
     "pipeline/shading/lobe.py": (360, "definition, fused kernel and its adjoint stand beside each other"),
@@ -25,7 +24,6 @@ LONG_FILES = {
     "stages/olat/pixel_fit/mixed_tangents.py": (270, "one fit: model, derivatives, steps"),
     "stages/olat/pixel_fit/one_pixel.py": (330, "one pixel from samples to maps, in the order of work"),
     "stages/olat/pixel_fit/specular.py": (290, "one fit: model, derivatives, steps"),
-    "stages/olat/run.py": (260, "one stage from frames to maps, a short function a step"),
     "stages/train/rasterize/kernel_backward.py": (380, "the adjoint of a pair, a pixel and a tile: read against kernel_block"),
     "stages/train/rasterize/kernel_block.py": (280, "a block's pixels in SIMD lanes, with and without layers"),
     "stages/train/rasterize/kernel_project.py": (290, "projection and its adjoint stand beside each other"),

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from pipeline.kernels import compiling, freshness, storage
-from pipeline.kernels.compiling import kernel
+from pipeline.kernels.compiling import compile_seconds, kernel
 from tests.kernels.conftest import finished
 
 SOURCE = """
@@ -126,3 +126,18 @@ def test_processes_that_compile_at_once_leave_whole_code(checkout) -> None:
         assert (ours, numbas) == (str(checkout.code), str(checkout.root / "__pycache__"))
     assert json.loads(checkout.run(SHOW))[3] == 1
     assert not list(checkout.code.glob("*.tmp*"))
+
+
+def test_time_spent_compiling_is_counted_and_calling_is_not(monkeypatch):
+    monkeypatch.setattr(storage, "place", lambda: None)
+
+    @kernel
+    def twice(x):
+        return 2 * x
+
+    before = compile_seconds()
+    twice(1.0)
+    after = compile_seconds()
+    twice(2.0)
+    assert after > before
+    assert compile_seconds() == after

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import json
+from types import SimpleNamespace
+from typing import cast
+
 import numpy as np
 import pytest
 
+from pipeline.asset.asset import FORMATS
+from pipeline.capture import Capture
 from pipeline.engine.progress import Progress
 from pipeline.engine.stage import StageRun
 from pipeline.errors import UserError
-from pipeline.formats.images import write_exr
+from pipeline.formats.images import read_image, write_exr
 from pipeline.formats.ply import write_ply
 from pipeline.geometry.cameras import save_cameras
 from stages.mesh.attributes import bake, vertex_table
@@ -16,7 +22,7 @@ from stages.mesh.clean import Mesh, boundary_loops, fill_holes, in_fixed_order, 
 from stages.mesh.fusion import Volume, measure
 from stages.mesh.outline import outline_gap, outline_length
 from stages.mesh.parameters import MeshParameters
-from stages.relight.turntable import read_baked_mesh
+from stages.relight.mesh_images import read_baked_mesh
 
 
 def fuse(views) -> Mesh:
@@ -145,9 +151,9 @@ def run_stage(sphere_views, tmp_path):
             channels |= {f"albedo.{c}": v.material[..., i] for i, c in enumerate("RGB")}
             channels |= {"roughness": v.material[..., 3], "ior": v.material[..., 4], "alpha": v.alpha, "depth": v.depth}
             write_exr(train / "gbuffer" / f"v{k}.exr", channels)
-        run = StageRun(
-            None, MeshParameters(**parameters), {"train": train, "poses": poses}, out, tmp_path, progress=Progress(quiet=True)
-        )
+        capture = SimpleNamespace(up="y", polarisation="none", config=SimpleNamespace(unit_m=None))
+        inputs, p = {"train": train, "poses": poses}, MeshParameters(**{"textures": False} | parameters)
+        run = StageRun(cast(Capture, capture), p, inputs, out, tmp_path, progress=Progress(quiet=True))
         make_mesh(run)
         return run
 
@@ -161,6 +167,18 @@ def test_stage_writes_tsdf_and_poisson_meshes(sphere_views, run_stage):
     edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
     assert (np.unique(edges, axis=0, return_counts=True)[1] == 2).all()  # closed
     assert run.facts["size"] == pytest.approx(2.0, rel=0.03)
+
+
+def test_stage_writes_an_asset_that_tells_where_it_was_baked_from(sphere_views, run_stage):
+    run = run_stage(sphere_views(1.0, count=8, size=32), textures=True, max_texture=128)
+    folder = run.output / "asset"
+    table = json.loads((folder / "asset.json").read_text())
+    assert max(table["texture_size"]) <= 128
+    assert table["detail"] == "model"  # no photographs were given
+    assert table["unit_m"] is None
+    albedo = read_image(folder / "textures" / "albedo.exr", ("R", "G", "B"))
+    assert np.allclose(albedo.reshape(-1, 3), [0.6, 0.3, 0.1], atol=2e-3)
+    assert all((folder / name).exists() for names in FORMATS.values() for name in names)
 
 
 def test_outlines_pull_a_shrunken_surface_back(sphere_views):

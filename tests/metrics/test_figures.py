@@ -7,6 +7,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from stages.metrics.environment_figures import environment_figures, row_weights
+from stages.metrics.hdr_flip import exposures, hdr_flip
 from stages.metrics.image_figures import (
     angle_deg,
     dolp_aolp,
@@ -153,10 +154,51 @@ def test_samples_are_uniform_by_area(rng):
 
 def test_relight_scale_is_per_channel(rng):
     truth = 0.4 * rng.random((16, 16, 3))
-    figures = relight_figures(truth / np.array([2.0, 1.0, 0.5]), truth)
-    assert [figures[f"scale_{c}"] for c in "rgb"] == pytest.approx([2, 1, 0.5], rel=1e-5)
-    assert figures["psnr_srgb_scaled"] > 90
-    assert relight_figures(0 * truth, truth)["scale_r"] == 0
+    everywhere = np.ones((16, 16), bool)
+    figures = relight_figures(truth / np.array([2.0, 1.0, 0.5]), truth, everywhere)
+    assert [figures[f"scale_{c}"] for c in "rgb"] == pytest.approx([2, 1, 0.5], rel=2e-4)
+    assert figures["psnr_srgb_scaled"] > 75
+    assert relight_figures(0 * truth, truth, everywhere)["scale_r"] == 0
+
+
+def test_best_scale_never_scores_worse_than_none(rng):
+    # Lamps past white weigh most in radiance: there least squares asks for a factor that spoils everything else.
+    truth = 0.3 * rng.random((24, 24, 3))
+    image = truth.copy()
+    truth[:4], image[:4] = 40.0, 8.0
+    inside = np.ones((24, 24), bool)
+    inside[:, :6] = False
+    figures = relight_figures(image, truth, inside)
+    assert figures["psnr_srgb_scaled"] >= figures["psnr_srgb"] > 100
+    assert figures["psnr_foreground_scaled"] >= figures["psnr_foreground"]
+
+
+def test_foreground_of_relit_images_is_what_the_mask_covers(rng):
+    truth = rng.random((16, 16, 3))
+    image = truth.copy()
+    image[:8] += 0.1
+    inside = np.zeros((16, 16), bool)
+    inside[8:] = True
+    figures = relight_figures(image, truth, inside)
+    assert figures["psnr_foreground"] == 120 and figures["psnr_srgb"] < 40
+    assert 0 < figures["hdr_flip_foreground"] < figures["hdr_flip"]
+
+
+def test_hdr_flip_sees_highlights_at_every_exposure_and_not_the_frame_around_the_object(rng):
+    truth = np.zeros((48, 48, 3))
+    truth[12:36, 12:36] = 0.2 + 0.1 * rng.random((24, 24, 1))
+    truth[20:24, 20:24] = 30.0
+    shown = truth.any(-1)
+    first, last = exposures(truth, shown)
+    white = 2 ** (first + np.log2(30))  # the tone mapper takes it to 0.85
+    assert (0.9036 * white**2 + 0.018 * white) / (0.8748 * white**2 + 0.354 * white + 0.14) == pytest.approx(0.85)
+    assert last - first == pytest.approx(np.log2(30 / np.median(truth[shown][:, 0])), abs=1e-3)
+    blown = truth.copy()
+    blown[20:22, 20:24] = 15.0  # both past white at the usual exposure
+    error = hdr_flip(blown, truth, shown)
+    assert error[20:22, 20:24].mean() > 0.1 and error[:4].max() == pytest.approx(0, abs=1e-4)
+    assert hdr_flip(truth, truth, shown).max() == pytest.approx(0, abs=1e-4)
+    assert hdr_flip(truth, 0 * truth, shown) is None
 
 
 def test_table_says_why_a_figure_is_null():

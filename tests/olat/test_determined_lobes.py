@@ -5,7 +5,8 @@ import pytest
 
 from pipeline.rig.light_table import LightTable
 from pipeline.rig.lobe_names import LOBES
-from stages.olat.pixel_fit.result_layout import AWAY, FLAG, GOOD, OUTSIDE, TOO_FEW, map_slices
+from pipeline.rig.map_flags import AWAY, GOOD, OUTSIDE, TOO_FEW
+from stages.olat.pixel_fit.result_layout import FLAG, map_slices
 from synth.olat_pixels import angle_deg, make, rig_of, unit
 
 pytestmark = pytest.mark.slow  # the kernels' first compilation takes most of a minute

@@ -9,6 +9,7 @@ import pytest
 
 from pipeline.errors import UserError
 from pipeline.rig.light_table import LightTable
+from pipeline.rig.map_flags import AWAY, NO_LOBE
 from pipeline.rig.solid_angles import fibonacci_sphere
 from stages.olat.evidence.after_fits import Verdict
 from stages.olat.evidence.before_fits import Seen, explain, say_brightness, say_frame
@@ -16,7 +17,7 @@ from stages.olat.evidence.frame_order import lambert
 from stages.olat.evidence.light_frame import spoken, surrounded, turns
 from stages.olat.evidence.light_table_faults import table_faults
 from stages.olat.evidence.pass_check import compare, pass_faults
-from stages.olat.pixel_fit.result_layout import AWAY, FLAG, NO_LOBE, RESIDUAL, WIDTH
+from stages.olat.pixel_fit.result_layout import FLAG, RESIDUAL, WIDTH
 
 VIEW = np.array([0.1, 0.2, 1.0]) / np.linalg.norm([0.1, 0.2, 1.0])
 RNG = np.random.default_rng(4)

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from pipeline.rig.lobe_names import LOBES
+from pipeline.rig.map_flags import BAD_SAMPLES, BLACK, GOOD, NO_LOBE, SATURATED, TOO_FEW
 from stages.olat.pixel_fit.many_pixels import fit
-from stages.olat.pixel_fit.result_layout import BAD_SAMPLES, BLACK, FLAG, GOOD, NO_LOBE, SATURATED, TOO_FEW, map_slices
+from stages.olat.pixel_fit.result_layout import FLAG, map_slices
 from synth.olat_pixels import angle_deg, make
 
 pytestmark = pytest.mark.slow  # the kernels' first compilation takes most of a minute

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -12,11 +13,12 @@ from pipeline.capture import Capture
 from pipeline.engine.progress import Progress
 from pipeline.engine.stage import StageRun
 from pipeline.errors import UserError
-from pipeline.formats.images import read_image, read_stokes, write_exr, write_mask, write_rgb
+from pipeline.formats.images import read_exr, read_image, read_stokes, write_exr, write_mask, write_rgb
 from pipeline.geometry.cameras import Camera, camera_from_opengl, save_cameras
 from pipeline.geometry.rays import RayMesh
 from pipeline.geometry.world import Y_UP_FROM
 from stages.relight.environment_map import read_map
+from stages.relight.outlines import blended, interior, silhouette, without_bright_rims
 from stages.relight.parameters import RelightParameters
 from stages.relight.stage import needed
 from stages.relight.stage import run as run_stage
@@ -47,8 +49,8 @@ def gbuffer(camera: Camera, mesh) -> dict[str, np.ndarray]:
 def relit(tmp_path):
     """Function that lays out a dataset of two views, with a given up axis, and relights it."""
 
-    def go(up: str = "y", occlusion: bool = False, with_mask: bool = False, **parameters):
-        root = tmp_path / f"{up}{occlusion}{with_mask}"
+    def go(up: str = "y", occlusion: bool = False, with_mask: bool = False, learnt: bool = True, **parameters):
+        root = tmp_path / f"{up}{occlusion}{with_mask}{parameters.get('indirect')}"
         turn = Y_UP_FROM[up]  # y-up frame from this world
         shape = vase(48, 36)
         mesh = (shape.vertices @ turn, shape.faces, shape.normals @ turn)
@@ -63,6 +65,8 @@ def relit(tmp_path):
         save_cameras(poses / "cameras.json", cameras)
         for name, camera in cameras.items():
             write_exr(train / "gbuffer" / f"{name}.exr", gbuffer(camera, mesh))
+            if learnt:
+                write_exr(train / "indirect" / f"{name}.exr", dict.fromkeys("RGB", np.full((SIZE, SIZE), 3, np.float32)))
         facts = {"schema": 1, "up": up, "fresnel": "exact", "lobe": "ggx", "occlusion": occlusion}
         (train / "lighting.json").write_text(json.dumps(facts))
         write_rgb(root / "sky.hdr", meadow(32))
@@ -107,7 +111,7 @@ def test_every_view_is_lit_and_black_outside_the_object(relit):
         assert (stokes[alpha == 1][:, 0] > 0).all()
         assert np.isfinite(stokes).all()
         assert (run.output / "sky" / f"{name}.png").exists()
-    assert run.facts["occlusion"]["run"] is False
+    assert run.facts["indirect"]["run"] is False
 
 
 @pytest.mark.slow
@@ -131,21 +135,51 @@ def test_self_occlusion_darkens_the_bowl_and_brightens_nothing_by_much(relit):
     free = read_stokes(relit().output / "sky" / "v1.exr")[:, :, 0]
     run = relit(occlusion=True)
     shadowed = read_stokes(run.output / "sky" / "v1.exr")[:, :, 0]
-    assert run.facts["occlusion"]["run"] is True
+    assert run.facts["indirect"]["run"] is True
     assert shadowed.sum() < 0.99 * free.sum()  # bounces give back most of what is shadowed
     assert (shadowed < 0.7 * free).any()
     assert (shadowed <= 1.3 * free + 0.02).all()
 
 
 @pytest.mark.slow
+def test_every_kind_of_indirect_light_can_be_asked_for(relit):
+    images = {}
+    for kind in ("none", "gridmap", "sh", "traced"):
+        run = relit(occlusion=True, indirect=kind)
+        assert run.facts["indirect"]["run"] == (kind != "none")
+        images[kind] = read_stokes(run.output / "sky" / "v1.exr")[:, :, 0].sum(-1)
+    shown = images["none"] > 0
+    there = {kind: (image != images["none"])[shown].mean() for kind, image in images.items()}
+    assert there["gridmap"] == 1 and there["traced"] > 0.3  # GridMap replaces all diffuse light
+    assert 0 < there["sh"] < 0.3  # and harmonics only what the mirror ray does not reach: 0.06
+    assert 0.6 < images["gridmap"].sum() / images["none"].sum() < 1.4  # 0.91
+
+
+def test_indirect_light_is_as_in_training_unless_it_is_named(relit):
+    assert relit(occlusion=True).facts["indirect"]["reason"].startswith("traced")
+    assert relit().facts["indirect"]["reason"] == "training saw no self-occlusion"
+
+
+def test_harmonics_that_training_has_not_learnt_are_refused(relit):
+    with pytest.raises(UserError, match=r"train\.indirect=sh"):
+        relit(occlusion=True, indirect="sh", learnt=False)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("occlusion", [False, True])
-def test_turntable_shows_the_mesh_all_around(relit, occlusion):
-    run = relit(occlusion=occlusion, turntable=3, turntable_size=48)
+def test_turntable_and_camera_path_show_the_mesh(relit, occlusion):
+    run = relit(occlusion=occlusion, turntable=3, turntable_size=48, cameras="poses/cameras.json")
     frames = [read_image(run.output / "sky" / "turntable" / f"{k:03d}.png") for k in range(3)]
     shown = [(f.max(-1) > 0).mean() for f in frames]
     assert 0.08 < min(shown) <= max(shown) < 0.8
     assert np.abs(frames[0] - frames[1]).max() > 0.1
     assert (run.output / "sky" / "turntable.webp").stat().st_size > 100
+    assert run.facts["turntable"]["mp4"] == (run.output / "sky" / "turntable.mp4").is_file() == bool(shutil.which("ffmpeg"))
+    for k, view in enumerate(("v0", "v1")):  # the capture's own cameras: nearly the views themselves
+        seen = read_stokes(run.output / "sky" / "path" / f"{k:03d}.exr")
+        view_image = read_stokes(run.output / "sky" / f"{view}.exr")
+        assert np.abs(seen - view_image).mean() < 0.05 * view_image[:, :, 0].mean()
+    assert (run.output / "sky" / "path.webp").stat().st_size > 100
 
 
 def test_map_of_another_projection_is_refused(tmp_path):
@@ -170,3 +204,53 @@ def test_needed_only_where_there_are_maps_and_a_model(tmp_path):
     assert not needed(capture, RelightParameters()).run
     assert needed(replace(capture, environments=(tmp_path / "a.hdr",)), RelightParameters()).run
     assert not needed(replace(capture, views=views[:3], environments=(tmp_path / "a.hdr",)), RelightParameters()).run
+
+
+@pytest.mark.slow
+def test_outlines_show_the_surfaces_of_the_mesh_and_not_the_blend_of_the_gbuffer(relit):
+    whole = relit(occlusion=True)
+    path = whole.inputs["train"] / "gbuffer" / "v1.exr"
+    right = read_stokes(whole.output / "sky" / "v1.exr")[:, :, 0]
+    channels = read_exr(path)
+    alpha = channels["alpha"]
+    rim = (alpha > 0) & ~interior(alpha > 0)
+    steady = ~rim & ~blended(np.stack([channels[f"N.{c}"] for c in "XYZ"], -1))
+    for k, name in enumerate(("N.X", "N.Y", "N.Z")):  # as where the sun meets the blend of a front and a back
+        channels[name][rim] = (0.6, 0.62, 0.5)[k] / np.linalg.norm((0.6, 0.62, 0.5))
+    channels["alpha"][rim] = 0.5
+    write_exr(path, channels)
+    run_stage(whole)
+    got = read_stokes(whole.output / "sky" / "v1.exr")[:, :, 0]
+    met = rim & (got.max(-1) > 0)
+    assert met.sum() > 0.9 * rim.sum()
+    assert np.abs(2 * got - right)[met].mean() < 0.25 * right[met].mean()
+    steady &= ~blended(np.stack([channels[f"N.{c}"] for c in "XYZ"], -1))
+    assert np.abs(got - right)[steady].max() < 1e-5
+
+
+def test_silhouettes_are_part_empty_at_the_masks_edge_and_blends_lie_between_normals_that_differ():
+    normal = np.tile([0.0, 0, 1], (5, 7, 1))
+    normal[:, 4:] = [0.9, 0, 0.43589]
+    alpha, whole = np.ones((5, 7)), np.zeros((5, 7), bool)
+    whole[1:-1, 1:-1] = True
+    alpha[0, 0] = alpha[2, 2] = 0.5
+    normal[2, 1] = 0  # nothing there: its neighbours are no blend for its sake
+    want = np.zeros((5, 7), bool)
+    want[0, 0] = True
+    assert (silhouette(alpha, whole) == want).all()
+    want[:], want[:, 3:5] = False, True
+    assert (blended(normal) == want).all()
+
+
+def test_a_rim_is_no_brighter_than_what_it_lies_between_and_keeps_its_polarisation():
+    stokes = np.ones((5, 5, 3, 3), np.float32)
+    stokes[:, :, 1:] = 0.1
+    rim = np.zeros((5, 5), bool)
+    rim[:, 2] = True
+    stokes[1, 2] *= 50  # a dash
+    stokes[3, 2] *= 0.1  # a dark gap stays
+    got = without_bright_rims(stokes, rim, np.ones((5, 5), bool))
+    assert got[1, 2, 0] == pytest.approx(1) and got[1, 2, 1] == pytest.approx(0.1)
+    assert (got[3, 2] == stokes[3, 2]).all() and (got[~rim] == stokes[~rim]).all()
+    alone = without_bright_rims(stokes, np.ones((5, 5), bool), np.ones((5, 5), bool))
+    assert (alone == stokes).all()

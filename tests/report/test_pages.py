@@ -15,12 +15,12 @@ from pipeline.report import pictures
 from pipeline.report.curves import line_chart, nice_ticks
 from pipeline.report.inspect import scene_of
 from pipeline.report.render import render
+from pipeline.rig.map_flags import FLAGS as OLAT_FLAGS
 from stages.metrics import report
 from stages.metrics.report import rig_pictures
 from stages.metrics.report.figures import headlines, tables, text_of
 from stages.metrics.report.page import cost_rows, offset_fact, training_curves
 from stages.metrics.report.viewer import page as viewer_page
-from stages.olat.pixel_fit.result_layout import FLAGS as OLAT_FLAGS
 from synth.orbit import look_at, orbit
 
 REPORT = Path(report.__file__).parent

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from pipeline.errors import UserError
-from stages.train.initialise.hull import Silhouette, visual_hull
+from pipeline.geometry.silhouette_hull import Silhouette
+from stages.train.initialise.hull import visual_hull
 from stages.train.initialise.sampling import mesh_area, sample_evenly
 
 from .conftest import AXES

@@ -9,8 +9,8 @@ import pytest
 
 from pipeline.errors import UserError
 from pipeline.geometry.cameras import Camera
+from pipeline.geometry.silhouette_hull import Silhouette
 from stages.calib.poses.write import write_points
-from stages.train.initialise.hull import Silhouette
 from stages.train.initialise.points import PointSurface, orient, read_points
 from stages.train.initialise.silhouettes import MARGIN, outline
 from stages.train.initialise.start import start_surface

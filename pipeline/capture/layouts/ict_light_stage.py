@@ -13,8 +13,8 @@ from pipeline.capture.config import CaptureConfig
 from pipeline.capture.layouts import Layout
 from pipeline.capture.light_stage.find_light_table import read_light_table, table_beside
 from pipeline.capture.light_stage.folders import PASSES, CameraFolders, camera_file, stage_folders
-from pipeline.capture.light_stage.frames import PassFrames, left_out_fact, pass_frames
-from pipeline.capture.model import Capture, LightStage, LightStageCamera
+from pipeline.capture.light_stage.frames import PassFrames, left_out_fact, one_pass_facts, pass_frames
+from pipeline.capture.model import Capture, LightStage, LightStageCamera, Passes
 from pipeline.capture.naming.files import find_environments
 from pipeline.errors import UserError
 from pipeline.geometry.camera_check import check_camera
@@ -42,14 +42,15 @@ def read(root: Path, config: CaptureConfig) -> Capture:
     lights, tables = read_light_table(root, config)
     passes: dict[str, PassFrames] = {}
     folders = sorted(stage_folders(root).items())
+    _refuse_mixed_passes(dict(folders))
     cameras = {name: _camera(root, found, lights, tables[-1], config, passes) for name, found in folders}
     files = [*tables, *(camera_file(root, name) for name in cameras)]
     for camera in cameras.values():
-        files += [*camera.cross, *camera.parallel, *([camera.mask] if camera.mask else [])]
+        files += [*camera.frames, *([camera.mask] if camera.mask else [])]
     files += [root / "capture.toml"] if config.path is not None else []
     files += [root / name for name in (config.radiometry.dark_frame, config.radiometry.flat_field) if name]
     environments = find_environments(root)
-    facts = left_out_fact(passes)
+    facts = [*left_out_fact(passes), *one_pass_facts(cameras)]
     extra = {len(camera.full_light) for camera in cameras.values()} - {0}
     if extra:
         facts.append(f"{max(extra)} frames a pass beside the lights' own (all lights on, or dark) are left out")
@@ -69,6 +70,16 @@ def read(root: Path, config: CaptureConfig) -> Capture:
     )
 
 
+def _refuse_mixed_passes(folders: dict[str, CameraFolders]) -> None:
+    """Raise UserError where a camera lacks a pass that another has: left out by accident, it would be fitted otherwise."""
+    every = {which for found in folders.values() for which in found.passes}
+    for found in folders.values():
+        for which in PASSES:
+            if which in every and which not in found.passes:
+                fault = "is missing: other cameras have that pass"
+                raise UserError(found.home / which, fault, "add the frames, or remove the camera's folder")
+
+
 def _camera(
     root: Path, folders: CameraFolders, lights: LightTable, table: Path, config: CaptureConfig, found: dict[str, PassFrames]
 ) -> LightStageCamera:
@@ -76,29 +87,27 @@ def _camera(
     from pipeline.formats.images import image_size
 
     passes = {}
-    for name in PASSES:
-        if name not in folders.passes:
-            raise UserError(
-                folders.home / name, "is missing: a camera needs both passes", "add the frames, or remove the camera's folder"
-            )
+    for name in folders.passes:
         passes[name] = pass_frames(folders.passes[name], lights, table, config.olat.first_frame)
         found[f"{folders.name}/{name}"] = passes[name]
+    cross, parallel = (passes.get(name, next(iter(passes.values()))) for name in PASSES)
+    kind: Passes = "both" if len(passes) == len(PASSES) else "cross" if "cross" in passes else "parallel"
     sizes = {name: size_of(p.frames[0]) for name, p in passes.items()}
-    if sizes["cross"] != sizes["parallel"]:
+    size = sizes.get("cross", next(iter(sizes.values())))
+    if len(set(sizes.values())) > 1:
         fault = f"is {sizes['parallel']} pixels, the cross pass {sizes['cross']}"
         raise UserError(passes["parallel"].frames[0], fault, "export both passes at one size")
     mask = _mask(root, folders)
-    if mask is not None and image_size(mask) != sizes["cross"]:
-        raise UserError(mask, f"is {image_size(mask)} pixels, the frames {sizes['cross']}", "make the mask at the frames' size")
+    if mask is not None and image_size(mask) != size:
+        raise UserError(mask, f"is {image_size(mask)} pixels, the frames {size}", "make the mask at the frames' size")
     path = camera_file(root, folders.name)
     if not path.is_file():
         for place in folders.home.parents[: len(folders.home.relative_to(root).parts) - 1]:
             if camera_file(place, folders.name).is_file():
                 raise UserError(root, f"is not the light stage itself: that is {place.name}", f"give CAPTURE={place}")
         raise UserError(path, f"{folders.home.name} has images but no camera file", FORMAT)
-    camera = read_camera(path, *sizes["cross"], name=folders.name, distortion=config.olat.distortion)
-    cross, parallel = passes["cross"], passes["parallel"]
-    return LightStageCamera(folders.name, cross.frames, parallel.frames, mask, camera, cross.full_light)
+    camera = read_camera(path, *size, name=folders.name, distortion=config.olat.distortion)
+    return LightStageCamera(folders.name, cross.frames, parallel.frames, mask, camera, cross.full_light, kind)
 
 
 def _mask(root: Path, folders: CameraFolders) -> Path | None:

@@ -1,18 +1,41 @@
-"""Pictures of one camera under one light each: photometric stereo, RTI, light stages of another shape. Refused, with why."""
+"""Pictures of one camera under one light each, without polarisers: photometric stereo, RTI domes, DiLiGenT's folders.
+
+A table without cameras tells directions as its camera sees them: x to the right, y up, z towards the camera, far away.
+"""
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
+import numpy as np
+
+from pipeline.capture.assembly.sources import size_of
 from pipeline.capture.config import CaptureConfig
 from pipeline.capture.layouts import Layout
+from pipeline.capture.layouts.ict_light_stage import read_camera
 from pipeline.capture.layouts.photographs import recognise as has_pictures
-from pipeline.capture.light_stage.find_light_table import table_beside
-from pipeline.capture.light_stage.folders import PASSES, pass_of, stage_folders
-from pipeline.capture.model import Capture
+from pipeline.capture.light_stage.find_light_table import read_light_table, table_beside
+from pipeline.capture.light_stage.folders import PASSES, camera_file, pass_of
+from pipeline.capture.light_stage.frame_numbers import numbered
+from pipeline.capture.light_stage.frames import PassFrames, frame_offset, frames_by_name, left_out_fact, one_pass_facts
+from pipeline.capture.model import Capture, LightStage, LightStageCamera
+from pipeline.capture.naming.files import IMAGE_SUFFIXES, find_environments, image_folder, list_images
 from pipeline.errors import UserError
+from pipeline.formats.images import image_size
+from pipeline.geometry.cameras import Camera, camera_from_opengl
+from pipeline.rig.light_table import LightTable
 
 WAY = "docs/light_stage.md shows the folders: camNN/cross, camNN/parallel, cameras/cameraNN.txt, lights.csv"
+CAMERA = "cam00"
+FAR = 1000.0  # of half the frame's width: rays then differ by 0.06 degrees from one side to the other
+MASK = re.compile(r"(?:^|[_\-. ])(?:mask|matte|silhouette)s?\d*$", re.IGNORECASE)
+NO_LIGHT = re.compile(
+    r"(?:^|[_\-. ])(?:mask|matte|silhouette|normal|depth|albedo|gt|truth|ambient|background|average|mean|preview)s?"
+    r"(?:$|[_\-. ])",
+    re.IGNORECASE,
+)
+"""Names of pictures beside the frames that show no single light."""
 
 
 def recognise(root: Path) -> bool:
@@ -20,26 +43,74 @@ def recognise(root: Path) -> bool:
 
 
 def read(root: Path, config: CaptureConfig) -> Capture:
-    """Refuse the capture. Raises UserError naming the light table and what the light stage lacks."""
-    table = table_beside(root)
-    assert table is not None
-    raise UserError(table, f"a light table: these are pictures under one light each, no views; {_missing(root)}", WAY)
+    """Open pictures and their light table as a light stage of one camera and one pass. Raises UserError."""
+    beside = table_beside(root)
+    assert beside is not None
+    lights, tables = read_light_table(root, config)
+    folder = beside.parent if list_pictures(beside.parent) else image_folder(root)
+    pictures = list_pictures(folder)
+    _refuse_passes(beside, pictures)
+    frames = frames_of(pictures, lights, folder, tables[-1], config.olat.first_frame)
+    size = size_of(frames.frames[0])
+    mask = next((p for p in pictures if MASK.search(p.stem) and p not in frames.frames), None)
+    if mask is not None and image_size(mask) != size:
+        raise UserError(mask, f"is {image_size(mask)} pixels, the frames {size}", "make the mask at the frames' size")
+    path = camera_file(root, CAMERA)
+    camera = read_camera(path, *size, name=CAMERA, distortion=config.olat.distortion) if path.is_file() else far_camera(*size)
+    found = LightStageCamera(CAMERA, frames.frames, frames.frames, mask, camera, frames.full_light, "none")
+    told = [] if path.is_file() else ["no camera file: seen from far away, x to the right, y up, z towards the camera"]
+    environments = find_environments(root)
+    files = [*tables, *frames.frames, *([mask] if mask else []), *([path] if path.is_file() else [])]
+    files += [root / "capture.toml"] if config.path is not None else []
+    return Capture(
+        root=root, layout="one_light_a_picture", kind="light_stage", polarisation="none",
+        light_stage=LightStage(root, {CAMERA: found}, lights), environments=environments, config=config, up=config.up or "y",
+        cameras={CAMERA: camera}, masks={CAMERA: mask} if mask else None, files=tuple([*files, *environments]),
+        facts=tuple([*left_out_fact({CAMERA: frames}), *one_pass_facts({CAMERA: found}), *told]),
+    )  # fmt: skip
 
 
-def _missing(root: Path) -> str:
-    """What a light stage needs and is not here."""
-    found = {which for camera in stage_folders(root).values() for which in camera.passes}
-    loose = {which for p in root.rglob("*") if p.is_file() and not p.name.startswith(".") and (which := _pass_in(p.stem))}
-    lacking = [f"{name} polarised frames (a {name}/ folder a camera)" for name in PASSES if name not in found | loose]
-    if not lacking:
-        lacking = ["a folder camNN/ with cross/ and parallel/ for each camera"]
-    if not (root / "cameras").is_dir():
-        lacking.append("a camera file (cameras/cameraNN.txt)")
-    return f"a light stage needs {' and '.join(lacking)}"
+def list_pictures(folder: Path) -> list[Path]:
+    """The pictures that lie in a folder itself, sorted."""
+    return [p for p in list_images(folder, IMAGE_SUFFIXES) if p.parent == folder]
 
 
-def _pass_in(stem: str) -> str | None:
-    return next((which for word in stem.replace("-", "_").split("_") if (which := pass_of(word))), None)
+def frames_of(pictures: list[Path], lights: LightTable, folder: Path, table: Path, first: int | None) -> PassFrames:
+    """Each light's picture: by the names that the table tells, by number, or in order. Raises UserError."""
+    named = frames_by_name(pictures, lights.names)
+    if named is not None:
+        return PassFrames(named)
+    frames = [p for p in pictures if not NO_LIGHT.search(p.stem)]
+    if len(frames) < len(lights):
+        fault = f"lists {len(lights)} lights, but {folder} has {len(frames)} pictures"
+        raise UserError(table, fault, f"add the missing pictures; {WAY}")
+    if len(frames) == len(lights) and lights.index is None:
+        return PassFrames(tuple(frames))
+    found = numbered(frames)
+    index = np.arange(len(lights)) if lights.index is None else lights.index
+    offset = first if first is not None else frame_offset(index, sorted(found), folder, table)
+    missing = [int(k) + offset for k in index if int(k) + offset not in found]
+    if missing:
+        raise UserError(folder, f"lacks picture {missing[0]} of {len(lights)} lights", "copy the missing pictures")
+    chosen = tuple(found[int(k) + offset] for k in index)
+    return PassFrames(chosen, left_out=tuple(p for p in frames if p not in set(chosen)))
+
+
+def far_camera(width: int, height: int) -> Camera:
+    """A camera on the z axis that looks back along it from so far that its rays are all but parallel; half the frame's width is
+    one world unit."""
+    pose = np.eye(4)
+    pose[2, 3] = FAR
+    focal = FAR * width / 2
+    return Camera(width, height, focal, focal, width / 2, height / 2, camera_from_opengl(pose), name=CAMERA)
+
+
+def _refuse_passes(table: Path, pictures: list[Path]) -> None:
+    """Raise UserError where names tell that two passes lie in one folder."""
+    found = {which for p in pictures for word in p.stem.replace("-", "_").split("_") if (which := pass_of(word))}
+    if len(found) == len(PASSES):
+        fault = "a light table: pictures behind crossed and parallel polarisers lie in one folder"
+        raise UserError(table, fault, f"put each pass into a folder of its own; {WAY}")
 
 
 LAYOUT = Layout(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
@@ -20,7 +21,9 @@ from pipeline.capture.naming.files import (
     polariser_priors,
     sorted_views,
 )
-from pipeline.capture.recognition.stray_files import sort_out
+from pipeline.capture.naming.grouping import group_and_rest
+from pipeline.capture.radiometry.across_folders import even_out_across
+from pipeline.capture.recognition.stray_files import Sorted, sort_out
 from pipeline.errors import UserError
 from pipeline.formats.colmap import find_model
 from pipeline.geometry.cameras import Camera
@@ -44,14 +47,14 @@ def read(root: Path, config: CaptureConfig) -> Capture:
     files: list[Path] = []
     warnings: list[str] = []
     facts: list[str] = []
-    for folder in camera_folders(root):
-        images = image_folder(folder)
-        paths = list_images(images) if images != folder else [p for p in list_images(folder) if "mask" not in p.parent.name]
-        chosen = sort_out(paths, images)
-        paths = chosen.kept
+    pictures = {folder: _pictures(folder) for folder in camera_folders(root)}
+    for chosen in pictures.values():
         warnings += chosen.warnings()
-        if not paths:
-            raise UserError(images, "the COLMAP folder holds no image", "put the images behind this polariser into images/")
+    config, exposures, doubts = _evened_out(pictures, config)
+    facts += exposures
+    warnings += doubts
+    for folder, chosen in pictures.items():
+        images, paths = image_folder(folder), chosen.kept
         name = folder.name
         own = _of_folder(config, name)
         here = discover(paths, images, own, lambda _, name=name: name, kind="colour")  # type: ignore[misc]
@@ -72,6 +75,29 @@ def read(root: Path, config: CaptureConfig) -> Capture:
         up=config.up or "y", cameras=cameras, masks=masks or None, files=(*files, *environments), warnings=tuple(warnings),
         polarisers=polariser_priors({v.camera for v in views}, config), facts=tuple(facts),
     )  # fmt: skip
+
+
+def _pictures(folder: Path) -> Sorted:
+    """The pictures of one camera, and what was left out. Raises UserError where there are none."""
+    images = image_folder(folder)
+    paths = list_images(images) if images != folder else [p for p in list_images(folder) if "mask" not in p.parent.name]
+    chosen = sort_out(paths, images)
+    if not chosen.kept:
+        raise UserError(images, "the COLMAP folder holds no image", "put the images behind this polariser into images/")
+    return chosen
+
+
+def _evened_out(
+    pictures: Mapping[Path, Sorted], config: CaptureConfig
+) -> tuple[CaptureConfig, tuple[str, ...], tuple[str, ...]]:
+    """The settings by which the pictures of all cameras have one exposure, with facts and warnings."""
+    own = [
+        group
+        for folder, chosen in pictures.items()
+        for group in group_and_rest(chosen.kept, image_folder(folder), _of_folder(config, folder.name), stacks=False)[0]
+    ]
+    found = even_out_across(own, config)
+    return found.config, found.facts, found.warnings
 
 
 def _of_folder(config: CaptureConfig, name: str) -> CaptureConfig:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.capture.light_stage.frame_numbers import frame_files, numbered
+from pipeline.capture.model import LightStageCamera
 from pipeline.capture.naming.files import IMAGE_SUFFIXES, some
 from pipeline.errors import UserError
 from pipeline.rig.light_table import LightTable
@@ -33,7 +34,7 @@ def pass_frames(folder: Path, lights: LightTable, table: Path, first: int | None
     Raises UserError when frames are missing, empty, or their numbers do not fit the table.
     """
     paths = frame_files(folder)
-    named = _by_name(paths, lights.names)
+    named = frames_by_name(paths, lights.names)
     if named is not None:
         rest = tuple(p for p in paths if p not in set(named))
         return PassFrames(_not_empty(named), left_out=rest)
@@ -83,7 +84,7 @@ def frame_offset(index: NDArray[np.int64], numbers: Sequence[int], folder: Path,
     raise UserError(table, fault, f"{remedy}: first_frame = 2 under [olat] in capture.toml")
 
 
-def _by_name(paths: list[Path], names: tuple[str, ...] | None) -> tuple[Path, ...] | None:
+def frames_by_name(paths: list[Path], names: tuple[str, ...] | None) -> tuple[Path, ...] | None:
     """The frames that a table names, in its order; None where it names none, or they are not all here by name."""
     if names is None:
         return None
@@ -110,3 +111,15 @@ def left_out_fact(frames: dict[str, PassFrames]) -> list[str]:
     """What to say of frames whose lights are not in the table."""
     out = {p.name: None for found in frames.values() for p in found.left_out}
     return [f"frames of lights that the table leaves out are not used: {some(out)}"] if out else []
+
+
+def one_pass_facts(cameras: Mapping[str, LightStageCamera]) -> list[str]:
+    """What to say of cameras that have one pass."""
+    told = "; diffuse and specular light are told apart by the fit"
+    kinds = {
+        "cross": "frames behind crossed polarisers alone: diffuse light, no lobe",
+        "parallel": f"frames behind parallel polarisers alone{told}",
+        "none": f"frames without polarisers{told}",
+    }
+    found = {kind: [name for name, camera in cameras.items() if camera.passes == kind] for kind in kinds}
+    return [f"{some(names)}: {kinds[kind]}" for kind, names in found.items() if names]

@@ -10,7 +10,7 @@ from pipeline.capture.config import CaptureConfig
 from pipeline.capture.model import PolariserPrior, ViewSource
 from pipeline.errors import UserError
 from pipeline.formats.bare_arrays import ARRAY_SUFFIXES
-from pipeline.formats.images import image_size
+from pipeline.formats.images import channel_names, image_size, read_image
 
 FLOAT_SUFFIXES = frozenset({".exr", ".hdr"})
 PHOTO_SUFFIXES = frozenset({".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp", ".tga", ".pgm", ".ppm", ".pnm", ".pfm", ".webp"})
@@ -38,6 +38,8 @@ DUMPS = frozenset({".bin", ".dat", ".mat", ".bayer", ".yuv", ".fit", ".fits"})
 """Samples without a header that says what they are, or arrays: pictures where they lie in an image folder."""
 MASK_FOLDERS = ("masks", "mask")
 ASIDE = frozenset({*MASK_FOLDERS, "gt", "envmaps"})
+BETWEEN = 0.1
+"""Share of a mask's samples that are neither black nor white, at most: soft edges."""
 """Folders, lower case, of what lies beside a capture's images."""
 IMAGE_FOLDERS = ("images", "images_full", "image", "raw", "photos")
 UNDISTORTED = frozenset({"dense", "undistorted"})
@@ -109,14 +111,42 @@ def find_environments(root: Path) -> tuple[Path, ...]:
     return tuple(sorted(p for p in folder.iterdir() if p.suffix.lower() in FLOAT_SUFFIXES and not p.name.startswith(".")))
 
 
+def mask_folders(root: Path) -> list[Path]:
+    """Folders named as masks are, whatever their case, the usual names first."""
+    found = [p for p in root.iterdir() if p.name.lower() in MASK_FOLDERS and p.is_dir()]
+    return sorted(found, key=lambda p: (p.name not in MASK_FOLDERS, MASK_FOLDERS.index(p.name.lower()), p.name))
+
+
+def masks_under_other_names(root: Path, views: Mapping[str, Path], folder: Path) -> list[str]:
+    """A line where another folder holds a black and white picture for every view, as masks under another name are."""
+    stems = {path.stem for path in views.values()}
+    for place in sorted(p for p in root.iterdir() if p.is_dir() and not p.name.startswith(".")):
+        if place.name.lower() in ASIDE or folder.is_relative_to(place):
+            continue
+        pictures = sorted(p for p in place.iterdir() if p.suffix.lower() == ".png" and p.stem in stems)
+        if len(pictures) >= max(2, len(stems)) and all(map(_is_black_and_white, pictures[:2])):
+            return [f"{place}: a black and white picture for every view: if these are masks, name the folder masks/ (not used)"]
+    return []
+
+
+def _is_black_and_white(path: Path) -> bool:
+    """Whether a picture has one channel, and hardly a sample between its darkest and its brightest."""
+    if len(channel_names(path)) > 1:
+        return False
+    samples = read_image(path)
+    low, high = float(samples.min()), float(samples.max())
+    between = (samples > low + 0.1 * (high - low)) & (samples < high - 0.1 * (high - low))
+    return high > low and float(between.mean()) < BETWEEN
+
+
 def find_masks(root: Path, views: Mapping[str, Path], folder: Path) -> tuple[dict[str, Path], list[str]]:
     """Mask files by VIEW from masks/ or mask/, under any of the usual names, and warnings for views without one.
 
     `views` maps VIEW to its image, `folder` is the image folder. COLMAP's IMAGE.EXT.png is understood too.
     """
-    where = next((root / name for name in MASK_FOLDERS if has_images(root / name, PHOTO_SUFFIXES)), None)
+    where = next((folder for folder in mask_folders(root) if has_images(folder, PHOTO_SUFFIXES)), None)
     if where is None:
-        return {}, []
+        return {}, masks_under_other_names(root, views, folder)
     by_stem: dict[str, Path] = {}
     for path in list_images(where, PHOTO_SUFFIXES):
         name = path.relative_to(where).with_suffix("").as_posix()

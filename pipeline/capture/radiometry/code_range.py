@@ -56,6 +56,19 @@ def bits_used(images: Sequence[NDArray[np.uint16]]) -> int:
     return int(np.bitwise_or.reduce([np.bitwise_or.reduce(codes, axis=None) for codes in images], initial=0))
 
 
+def low_codes(used: int) -> list[str]:
+    """A fact for the user where 16-bit codes end so low that they may be of a sensor of 10 or 12 bits: dark pictures of 16 bits
+    do so as well, and nothing in them decides. used: the bitwise or of all codes."""
+    bits = used.bit_length()
+    likely = next((b for b in (10, 12) if b - 2 < bits <= b), None)
+    if likely is None:
+        return []
+    return [
+        f"no code of these 16-bit files is above {(1 << bits) - 1}: if they are {likely}-bit codes, say "
+        f"radiometry.white_level = {(1 << likely) - 1}"
+    ]
+
+
 def moved_up(used: int) -> float | None:
     """The white level of samples moved to the top of 16 bits, whose codes are all multiples of 2^k (k > 0); else None.
 

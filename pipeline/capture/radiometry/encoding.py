@@ -20,6 +20,8 @@ FARTHEST = 0.75
 """How far beyond 0 or 1 the share may lie: farther out something else (angles, movement) is what does not fit."""
 PARTS = 64
 """Regions whose scatter tells the error of the share: neighbours err alike."""
+FEWEST_PARTS = 6
+"""Regions of equal weight to which the regions must come at least, for their scatter to tell an error."""
 CLIPPED = 0.995
 
 
@@ -73,8 +75,8 @@ def _share(found: NDArray[np.float64], predicted: NDArray[np.float64]) -> tuple[
     top, bottom = (x.sum(0) for x in (found * predicted, predicted * predicted))
     edges = np.linspace(0, len(top), PARTS + 1).astype(int)[:-1]
     tops, bottoms = np.add.reduceat(top, edges), np.add.reduceat(bottom, edges)
-    if not bottoms.sum() > 0:
-        return np.nan, np.inf
+    if not bottoms.sum() ** 2 > FEWEST_PARTS * (bottoms**2).sum():
+        return np.nan, np.inf  # a single edge would decide, and agree with itself
     share = tops.sum() / bottoms.sum()
     return float(share), float(np.sqrt(((tops - share * bottoms) ** 2).sum()) / bottoms.sum())
 

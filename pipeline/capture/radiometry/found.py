@@ -14,7 +14,7 @@ from pipeline.capture.angle_stack.solve import polariser_design
 from pipeline.capture.config import CaptureConfig, RadiometryConfig
 from pipeline.capture.naming.files import RAW_SUFFIXES, count, some
 from pipeline.capture.naming.grouping import Exposure, Group
-from pipeline.capture.radiometry.code_range import bits_used, code_range, moved_up, some_of
+from pipeline.capture.radiometry.code_range import bits_used, code_range, low_codes, moved_up, some_of
 from pipeline.capture.radiometry.encoding import find_encoding, impossible_share, mosaic_codes, stack_codes
 from pipeline.capture.radiometry.exposure import HeaderExposure, even_out, exposure_of, read_exposure
 from pipeline.capture.radiometry.of_file import FoundRadiometry, factor_of
@@ -47,15 +47,18 @@ def understand(groups: Sequence[Group], config: CaptureConfig, kind: str, bayer:
     single = {e.path: e for g in groups for es in g.angles.values() if len(es) == 1 for e in es}
     headers = {path: _header(e) for path, e in single.items()}
     known = {path: header.exposure for path, header in headers.items()}
-    exposures = even_out(known, radiometry, lambda path: _brightness(single[path], config, kind))
-    found = FoundRadiometry(**{f.name: getattr(radiometry, f.name) for f in fields(radiometry)}, factors=exposures.factors)
+    exposures = even_out(known, radiometry, lambda path: brightness(single[path], config, kind))
+    own = {f.name: getattr(radiometry, f.name) for f in fields(RadiometryConfig)}
+    settled = radiometry.factors if isinstance(radiometry, FoundRadiometry) else {}  # by all folders together
+    found = FoundRadiometry(**own, factors=exposures.factors or settled)
     facts, warnings = [*exposures.facts], [*exposures.warnings]
     files = [(e.path, e) for g in groups for es in g.angles.values() for e in es if e.path.suffix.lower() not in RAW_SUFFIXES]
     bits = {_header(e).bits if p not in headers else headers[p].bits for p, e in dict(files).items()}
     if bits == {16} and radiometry.white_level is None and radiometry.encoding != "srgb":
-        white, words = _white_level([e for _, e in files])
+        white, words, remarks = _white_level([e for _, e in files])
         found = found if white is None else replace(found, white_level=white)
         warnings += words
+        facts += remarks
     if radiometry.encoding is None and bits and bits <= {8, 16} and kind in ("stack", "mosaic"):
         encodings, words = _encodings(groups, replace(config, radiometry=found), kind, bayer, bits == {8})
         found = replace(found, encodings=encodings)
@@ -75,7 +78,7 @@ def _header(exposure: Exposure) -> _Header:
     return _Header({"uint8": 8, "uint16": 16}.get(str(spec.format), 0), exposure_of(spec))
 
 
-def _brightness(exposure: Exposure, config: CaptureConfig, kind: str) -> NDArray[np.float64] | None:
+def brightness(exposure: Exposure, config: CaptureConfig, kind: str) -> NDArray[np.float64] | None:
     """Percentiles of a picture's linear light; None where it cannot be read (its reader says why)."""
     from pipeline.capture.pixels.linear import read_linear
 
@@ -89,8 +92,8 @@ def _brightness(exposure: Exposure, config: CaptureConfig, kind: str) -> NDArray
     return np.percentile(light, (10, 25, 50, 75, 90)) if light.size else None
 
 
-def _white_level(files: Sequence[Exposure]) -> tuple[float | None, list[str]]:
-    """The code that full samples have in 16-bit files, where fewer bits are in use, with the word for it."""
+def _white_level(files: Sequence[Exposure]) -> tuple[float | None, list[str], list[str]]:
+    """The code that full samples have in 16-bit files, where fewer bits are in use, with the warning and the fact of it."""
 
     def codes(e: Exposure) -> NDArray[np.uint16]:
         image = open_image(e.path, e.page, unassociated=True)
@@ -107,17 +110,18 @@ def _white_level(files: Sequence[Exposure]) -> tuple[float | None, list[str]]:
     size = first.spec().width * first.spec().height * first.spec().nchannels
     first.close()
     if own is not None:
-        return own, []  # set by raw.format
+        return own, [], []  # set by raw.format
     samples = [codes(e) for e in some_of(list(dict.fromkeys(files)), size)]
     found = code_range(samples)
     if found is None:
-        return moved_up(bits_used(samples)), []
+        used = bits_used(samples)
+        return moved_up(used), [], low_codes(used)
     line = (
         f"{files[0].path}: codes of these 16-bit files end at {found.white_level:g}, which {found.clipped} samples have: they "
         f"are taken as {found.bits}-bit codes, clipped there; say so in capture.toml: "
         f"radiometry.white_level = {found.white_level:g}"
     )
-    return found.white_level, [line]
+    return found.white_level, [line], []
 
 
 def _is_raw(group: Group) -> bool:

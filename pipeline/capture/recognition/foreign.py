@@ -6,10 +6,19 @@ from collections import defaultdict
 from pathlib import Path
 
 from pipeline.capture.model import Capture
-from pipeline.capture.naming.files import DUMPS, IMAGE_FOLDERS, IMAGE_SUFFIXES, UNREADABLE, some
+from pipeline.capture.naming.files import DUMPS, IMAGE_FOLDERS, IMAGE_SUFFIXES, UNREADABLE, count, some
 from pipeline.errors import UserError
 
 MOST_LOOKED_AT = 20_000
+
+
+def lost_links(root: Path) -> list[str]:
+    """A line where the capture's folder holds links to nothing: what they stood for is taken as not given."""
+    lost = sorted(p for p in root.iterdir() if p.is_symlink() and not p.exists() and not p.name.startswith("."))
+    if not lost:
+        return []
+    named = f"{count(lost, 'link')} to nothing ({some(p.name for p in lost)})"
+    return [f"{lost[0]}: {named}: copy what they stand for, or remove them"]
 
 
 def foreign_warnings(capture: Capture) -> list[str]:
@@ -35,8 +44,8 @@ def foreign_warnings(capture: Capture) -> list[str]:
 def refuse_unreadable(root: Path) -> None:
     """Raise UserError naming the kind of file where a folder of no known layout holds pictures that are not read."""
     found: dict[str, list[Path]] = defaultdict(list)
-    for count, path in enumerate(root.rglob("*")):
-        if count > MOST_LOOKED_AT:
+    for number, path in enumerate(root.rglob("*")):
+        if number > MOST_LOOKED_AT:
             break
         suffix = path.suffix.lower()
         if path.name.startswith(".") or suffix in IMAGE_SUFFIXES or not path.is_file():

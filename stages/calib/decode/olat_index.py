@@ -51,7 +51,7 @@ def index_light_stage(stage: StageRun) -> None:
 
 def _looked_at(stage: StageRun, light_stage: LightStage) -> LinearFrames:
     """What is to be known of frames that stay where they are."""
-    frames = [(camera, path) for camera in light_stage.cameras.values() for path in (*camera.cross, *camera.parallel)]
+    frames = [(camera, path) for camera in light_stage.cameras.values() for path in camera.frames]
     search, tops, bad = PlateauSearch(), {}, {}
 
     def look(item: tuple[LightStageCamera, Path]) -> tuple[Path, np.ndarray, int]:
@@ -110,6 +110,7 @@ def _table(light_stage: LightStage, root: Path, frames: LinearFrames) -> dict[st
         cameras[name] = {
             "cross": [relative(p) for p in camera.cross],
             "parallel": [relative(p) for p in camera.parallel],
+            "passes": camera.passes,
             "mask": relative(camera.mask),
             "full_light": [relative(p) for p in camera.full_light],
             "width": c.width,
@@ -124,6 +125,7 @@ def _table(light_stage: LightStage, root: Path, frames: LinearFrames) -> dict[st
             "directions": lights.directions.tolist(),
             "positions": lights.positions.tolist(),
             "intensity": lights.intensity.tolist(),
+            **({"colour": lights.colour.tolist()} if lights.colour is not None else {}),
             "solid_angle": None if lights.solid_angle is None else lights.solid_angle.tolist(),
         },
         "saturated_fraction": frames.clipped_fraction,

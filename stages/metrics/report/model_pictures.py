@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from pipeline.report import pictures
 from pipeline.report.pictures import AOLP_FULL, DOLP_FULL, evenly_chosen, exposure_of, picture, polarisation
 
 SHOWN_RELIT = 4  # views of every map
+MOVING = (files.TURNTABLE, files.PATH)
 ERROR_DEG = 30.0  # normal error at the bright end
 
 
@@ -115,17 +117,7 @@ def relit_cards(run: StageRun, metrics: dict[str, Any]) -> list[dict[str, Any]]:
             if path:
                 pics.append(picture(pictures.radiance(read_image(path, S0))[box], f"view {view}", "path traced", longest))
             pics.append(picture(pictures.radiance(image)[box], f"view {view}", "relit model", longest))
-        turntable = folder / files.TURNTABLE
-        if turntable.is_file():
-            moving = base64.b64encode(turntable.read_bytes()).decode()
-            pics.append(
-                {
-                    "src": f"data:image/webp;base64,{moving}",
-                    "title": "turntable",
-                    "text": "the mesh with its baked material",
-                    "place": "",
-                }
-            )
+        pics += [_moving(folder / f"{name}.webp", name) for name in MOVING if (folder / f"{name}.webp").is_file()]
         lamp = (
             picture(pictures.radiance(read_image(maps[folder.name], RGB)), folder.name, "the map", 560)
             if folder.name in maps
@@ -135,3 +127,8 @@ def relit_cards(run: StageRun, metrics: dict[str, Any]) -> list[dict[str, Any]]:
             {"name": folder.name, "figures": metrics.get("relight", {}).get(folder.name, {}), "map": lamp, "pictures": pics}
         )
     return out
+
+
+def _moving(path: Path, title: str) -> dict[str, str]:
+    source = f"data:image/webp;base64,{base64.b64encode(path.read_bytes()).decode()}"
+    return {"src": source, "title": title, "text": "the mesh with its baked material", "place": ""}

@@ -32,7 +32,7 @@ def write_report(run: StageRun, metrics: dict[str, Any], manifests: Mapping[str,
         "facts": capture_facts(run) + offset_fact(manifests),
         "tiles": headlines(metrics),
         "plan": plan_rows(run, manifests),
-        "views": [], "environment": [], "relit": [], "olat": [], "lobe": {},
+        "views": [], "environment": [], "relit": [], "olat": [], "lobe": {}, "disagreement": [],
         "scene": scene, "scene_text": page.embedded(scene), "script": page.script(), "viewer_style": page.style(),
         "curves": training_curves(run.inputs["train"] / TRAIN_LOG) if "train" in run.inputs else [],
         "costs": cost_rows(manifests),
@@ -53,8 +53,16 @@ def write_report(run: StageRun, metrics: dict[str, Any], manifests: Mapping[str,
 
         context["lobe"] = json.loads((run.inputs["olat"] / FITTED_LOBE).read_text())
         context["olat"] = rig_pictures.olat_cards(run, metrics)
+        context["disagreement"] = rig_pictures.disagreement_cards(run)
         context["relit"] = rig_pictures.relit_cards(run) if "relight" in run.inputs else []
     (run.output / "report.html").write_text(render("report.html.jinja", context, FOLDER), encoding="utf-8")
+
+
+PASSES = {
+    "both": "cross and parallel polarised", "cross": "behind crossed polarisers alone",
+    "parallel": "behind parallel polarisers alone",
+    "none": "without polarisers",
+}  # fmt: skip
 
 
 def capture_facts(run: StageRun) -> list[str]:
@@ -69,7 +77,7 @@ def capture_facts(run: StageRun) -> list[str]:
             f"{len(c.light_stage.lights)} lights",
             f"{count} camera{'s' if count > 1 else ''}",
             size,
-            "cross and parallel polarised",
+            PASSES[cameras[0].passes],
         ]
     words = {"stokes": "full linear Stokes vectors", "polarisers": "behind polarisers", "none": "no polarisation data"}
     size = next((f"{v.size[0]} × {v.size[1]} px" for v in c.views if v.size), "")

@@ -13,7 +13,7 @@ from pipeline.capture.naming.safe_names import environment_name
 from pipeline.engine.stage import StageRun
 from pipeline.formats import dataset_files as files
 from pipeline.formats.ground_truth import camera_maps
-from pipeline.formats.images import RGB, XYZ, read_image
+from pipeline.formats.images import RGB, XYZ, read_exr, read_image
 from pipeline.report import pictures
 from pipeline.report.pictures import picture
 
@@ -29,6 +29,16 @@ FLAGS = (
     ("teal", (49, 151, 149), "peak outside the lights"),
 )
 """Colour and meaning of the olat stage's flags 0, 1, ..."""
+
+
+STANDARD_DEVIATIONS = (
+    ("std_normal", "normals: standard deviation", "degrees, 0 to its 98th percentile"),
+    ("std_diffuse_normal", "diffuse normals: standard deviation", "degrees, 0 to its 98th percentile"),
+    ("std_specular_normal", "specular normals: standard deviation", "degrees, 0 to its 98th percentile"),
+    ("std_diffuse_albedo", "diffuse albedo: standard deviation", "0 to its 98th percentile"),
+    ("std_specular_albedo", "specular albedo: standard deviation", "0 to its 98th percentile"),
+    ("std_sigma", "σ: standard deviation", "0 to its 98th percentile"),
+)
 
 
 def olat_cards(run: StageRun, metrics: dict[str, Any]) -> list[dict[str, Any]]:
@@ -72,11 +82,48 @@ def _maps(run: StageRun, folder: Path) -> list[dict[str, str]]:
     add(pictures.scale(sigma[..., 0], 0, 0.6, pictures.VIRIDIS, there), "larger σ", "0 to 0.6")
     add(pictures.scale(sigma[..., 1], 0, 0.6, pictures.VIRIDIS, there), "smaller σ", "0 to 0.6")
     add(pictures.scale(one("anisotropy"), 0, 1, pictures.VIRIDIS, there), "anisotropy", "0 to 1")
-    add(pictures.scale(one("visibility_d"), 0, 1, pictures.VIRIDIS, there), "visibility", "fraction of lights seen")
+    add(pictures.scale(one("roughness"), 0, 1, pictures.VIRIDIS, there), "roughness", "r = (σx σy)^¼, 0 to 1")
+    add(np.abs(fitted("tangent", XYZ)), "tangent", "direction of the larger σ, |x y z| as red green blue; black: none")
+    for ending, what in (("d", "diffuse"), ("s", "specular")):
+        for name, text in (("visibility", "share of lights seen"), ("occlusion", "share of light arriving")):
+            add(pictures.scale(one(f"{name}_{ending}"), 0, 1, pictures.VIRIDIS, there), f"{what} {name}", text)
+    add(pictures.radiance(fitted("interreflection_d", RGB)), "diffuse inter-reflection", "light from behind the surface")
+    add(shown_to_its_own_top(one("interreflection_s"), there), "specular inter-reflection", "0 to its 98th percentile")
+    for name, title, text in STANDARD_DEVIATIONS:
+        if files.camera_map(folder, name).is_file():
+            add(shown_to_its_own_top(one(name), there), title, text)
     add(pictures.scale(one("residual"), 0, 0.5, mask=there), "residual", "relative RMS, 0 to 0.5")
     flag = np.clip(one("residual", "flag").round().astype(int), 0, len(FLAGS) - 1)
     colours = np.array([rgb for _, rgb, _ in FLAGS], np.uint8)[flag] * there[..., None].astype(np.uint8)
     add(colours, "flags", flag_legend(flag[there]))
+    return out
+
+
+def shown_to_its_own_top(values: np.ndarray, there: np.ndarray) -> np.ndarray:
+    """A map's values as colours, from 0 to the 98th percentile of those on the object."""
+    top = float(np.percentile(values[there], 98)) if there.any() else 0.0
+    return pictures.scale(values, 0, top or 1.0, pictures.VIRIDIS, there)
+
+
+def disagreement_cards(run: StageRun) -> list[dict[str, Any]]:
+    """How far each light-stage camera's maps are from what all cameras say together, where a mesh was made of them."""
+    folder = run.inputs["mesh"] / files.DISAGREEMENT if "mesh" in run.inputs else None
+    if folder is None or not folder.is_dir():
+        return []
+    out = []
+    for path in sorted(folder.glob("*.exr")):
+        found = read_exr(path)
+        there = found["normal_deg"] > 0
+        box = pictures.crop_box([there])
+        tops = (
+            ("normal_deg", 5, "normals", "0 to 5°"), ("diffuse_albedo", 0.2, "diffuse albedo", "relative, 0 to 0.2"),
+            ("specular_albedo", 0.5, "specular albedo", "relative, 0 to 0.5"), ("sigma", 0.5, "σ", "relative, 0 to 0.5"),
+        )  # fmt: skip
+        pics = [
+            picture(pictures.scale(found[name], 0, top, mask=there)[box], title, text, run.parameters.picture_px)
+            for name, top, title, text in tops
+        ]
+        out.append({"view": path.stem, "figures": {}, "pictures": pics})
     return out
 
 

@@ -20,7 +20,8 @@ FIGURES = {
 
 @dataclass(frozen=True)
 class Measured:
-    """A run: parameters that differ from the user's, seconds of every stage, and its error over that of the user's run (1)."""
+    """A run: parameters that differ from the user's, seconds of every stage without those of compiling kernels (which happens
+    once on a machine), and its error over that of the user's run (1)."""
 
     changed: dict[str, Any]
     seconds: dict[str, float]
@@ -53,5 +54,8 @@ def measured(result: Result, changed: Mapping[str, Any], base: Mapping[str, floa
     """A finished run beside the errors `base` of the user's own: the geometric mean of their ratios; 1 if they share none."""
     own = errors(result.metrics)
     shared = [math.log(own[k] / base[k]) for k in base if k in own]
-    seconds = {stage: float(m.get("wall_s") or 0.0) for stage, m in result.manifests.items()}
+    seconds = {
+        stage: max(float(m.get("wall_s") or 0.0) - float(m.get("compile_s") or 0.0), 0.0)
+        for stage, m in result.manifests.items()
+    }
     return Measured(dict(changed), seconds, math.exp(sum(shared) / len(shared)) if shared else 1.0, own)

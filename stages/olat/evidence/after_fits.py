@@ -6,19 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.engine.stage import StageRun
-from stages.olat.pixel_fit.result_layout import (
-    AWAY,
-    BAD_SAMPLES,
-    BLACK,
-    FLAG,
-    FLAGS,
-    GOOD,
-    NO_LOBE,
-    OUTSIDE,
-    RESIDUAL,
-    SATURATED,
-    TOO_FEW,
-)
+from pipeline.rig.map_flags import AWAY, BAD_SAMPLES, BLACK, FLAGS, GOOD, NO_LOBE, OUTSIDE, SATURATED, TOO_FEW
+from stages.olat.pixel_fit.result_layout import FLAG, RESIDUAL
 
 MOST = 0.5  # share of pixels with a flag above which the maps as a whole are in doubt
 POOR = 0.4

@@ -45,10 +45,15 @@ def compare(cross: NDArray[np.float32], parallel: NDArray[np.float32]) -> Passes
     )  # fmt: skip
 
 
-def pass_faults(found: Passes) -> tuple[str | None, str | None]:
-    """(a fault that makes every map wrong with its remedy, a doubt with its remedy); None where there is none."""
+def pass_faults(found: Passes, alone: bool = False) -> tuple[str | None, str | None]:
+    """(a fault that makes every map wrong with its remedy, a doubt with its remedy); None where there is none.
+
+    alone: there is one pass, given as both.
+    """
     if found.constant > 0.9:
         return "no light changes the frames: all of a pass are alike; export one frame for each light", None
+    if alone:
+        return None, None
     if found.ratio < EXCHANGED:
         if found.missing_reversed < STRANGE < found.missing:
             return None, _order(" in the reverse order")

@@ -45,7 +45,10 @@ def surface_widths(rows: NDArray[np.float64], spread: NDArray[np.float64]) -> No
     squares[one_way] = value[:, ::-1]
     axis = vector[:, :, 1]  # of the larger width
     tangent[one_way] = axis[:, :1] * t + axis[:, 1:] * axes[:, 1]
+    before = np.sqrt((sigma**2).mean(1))
     sigma[:] = np.sqrt(squares)
+    after = np.sqrt((sigma**2).mean(1))
+    rows[:, at["std_sigma"]] *= np.divide(before, after, out=np.ones_like(after), where=after > 0)[:, None]
     large, small = sigma[:, 0], sigma[:, 1]
     tangent[large - small <= ROUND * (large + small)] = 0.0
     rows[:, at["roughness"]] = ((large * small) ** 0.25)[:, None]

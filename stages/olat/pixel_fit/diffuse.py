@@ -110,6 +110,13 @@ def fit_normal(light, ok, wx, wy, wz, rounds, plain, weight, work):
                 break
     if not solved:
         return 0.0, 0.0, 0.0, 0.0, usable, False
+    return refined(light, ok, wx, wy, wz, mx, my, mz, usable, rounds, plain, weight, work)
+
+
+@kernel(error_model="numpy")
+def refined(light, ok, wx, wy, wz, mx, my, mz, usable, rounds, plain, weight, work):
+    """The reweighted rounds of `fit_normal` from a start m, of `usable` samples; its result."""
+    kind = light.dtype.type
     scale, used = 0.0, usable
     for step in range(rounds):
         size = math.sqrt(mx * mx + my * my + mz * mz)
@@ -133,3 +140,30 @@ def fit_normal(light, ok, wx, wy, wz, rounds, plain, weight, work):
         if step > 2 and change < 1e-7 * size:
             break
     return mx, my, mz, scale, used, True
+
+
+@kernel(fastmath=FAST, error_model="numpy")
+def channel_albedo(rgb, wx, wy, wz, nx, ny, nz, weight, out):
+    """PRF Eq. 16: ratio of two dot products over the lights in use; `out` [3] is filled."""
+    r = g = b = den = ZERO * nx
+    for k in range(weight.size):
+        p = nx * wx[k] + ny * wy[k] + nz * wz[k]
+        w = weight[k] * p
+        r += w * rgb[0, k]
+        g += w * rgb[1, k]
+        b += w * rgb[2, k]
+        den += w * p
+    if den > ZERO:
+        out[0], out[1], out[2] = r / den, g / den, b / den
+    else:
+        out[0] = out[1] = out[2] = ZERO
+
+
+@kernel(fastmath=FAST, error_model="numpy")
+def in_use_of(weight):
+    """Sum of the weights, and how many of them count."""
+    s = n = ZERO * weight[0]
+    for k in range(weight.size):
+        s += weight[k]
+        n += ONE if weight[k] > HALF * HALF else ZERO
+    return float(s), float(n)

@@ -14,6 +14,9 @@ WORKSPACE_PER_LIGHT = 6 * CHUNK + 4 + ROWS
 
 JOINT, HALF_VECTOR, CORRELATION = 0, 1, 2
 SPECULAR_FITS = {"joint": JOINT, "half-vector": HALF_VECTOR, "correlation": CORRELATION}
+BOTH, CROSS_ALONE, PARALLEL_ALONE, UNPOLARISED = range(4)
+PASSES = {"both": BOTH, "cross": CROSS_ALONE, "parallel": PARALLEL_ALONE, "none": UNPOLARISED}
+"""How a capture's word for its passes is told to the kernels."""
 ROUND = 0.03  # anisotropy below which a lobe counts as round
 
 
@@ -37,3 +40,4 @@ class FitOptions(NamedTuple):
     printed_maps: bool  # occlusion and inter-reflection as PRF Eqs. 4 and 5 print them
     remove: bool  # clipped samples by PRF Algorithm 1 instead of as bounds
     gradient: bool  # gradient illumination alone (Ma et al. 2007)
+    one_pass: int  # which passes there are, `PASSES`

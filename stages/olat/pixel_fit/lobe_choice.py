@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.olat.pixel_fit.result_layout import FLAG, GOOD, RESIDUAL
+from pipeline.rig.map_flags import GOOD
+from stages.olat.pixel_fit.result_layout import FLAG, RESIDUAL
 
 CANDIDATES = ("ward", "beckmann", "ggx")
 

@@ -20,7 +20,7 @@ from stages.olat.pixel_fit.result_layout import WIDTH
 
 SHARE = 64  # pixels that a thread takes at a time: a few milliseconds, so that threads end together
 SOURCE = Path(__file__).with_name("many_pixels_kernel.py")
-ARGUMENTS = ("int64",) * 5 + ("pointer",) * 14
+ARGUMENTS = ("int64",) * 5 + ("pointer",) * 15
 
 
 def half_table() -> NDArray[np.float32]:
@@ -69,7 +69,8 @@ def fit(
         np.ascontiguousarray(cross, stored), np.ascontiguousarray(parallel, stored), half_table(),
         np.ascontiguousarray(view, np.float64), np.ascontiguousarray(view if points is None else points, np.float64),
         np.ascontiguousarray(rig.directions.T, kind), np.ascontiguousarray(rig.positions, np.float64),
-        np.ascontiguousarray(rig.solid_angle, kind), np.ascontiguousarray(rig.intensity, kind), np.array(settings, np.float64),
+        np.ascontiguousarray(rig.solid_angle, kind), np.ascontiguousarray(rig.intensity, kind),
+        np.ascontiguousarray(rig.gains.T, kind), np.array(settings, np.float64),
     )  # fmt: skip
     kernel = _kernel(stored.name, precision)
     first, last = part or (0, pixels)

@@ -48,24 +48,25 @@ def _settings(v):
     """Options from their numbers in order."""
     return FitOptions(
         int(v[0]), int(v[1]), int(v[2]), int(v[3]), v[4], v[5], v[6], v[7], v[8], v[9], v[10],
-        v[11] != 0, int(v[12]), v[13] != 0, v[14] != 0, v[15] != 0, v[16] != 0,
+        v[11] != 0, int(v[12]), v[13] != 0, v[14] != 0, v[15] != 0, v[16] != 0, int(v[17]),
     )  # fmt: skip
 
 
 def fit_pixels(
-    first, last, count, pixels, near, cross, parallel, table, view, points, directions, positions, area, intensity, settings,
-    workspace, front, out, norms,
+    first, last, count, pixels, near, cross, parallel, table, view, points, directions, positions, area, intensity, gains,
+    settings, workspace, front, out, norms,
 ):  # fmt: skip
     """Fit pixels [first, last) of `pixels` under `count` lights, all arrays by their addresses.
 
     cross, parallel [N, P, 3]: half-float bits (uint16) or floats; table float32 [65536]; view float64 [P, 3]: to the camera;
     points [P, 3]: where each pixel's surface is, read where the lights are `near`; directions [3, N], positions float64 [N, 3],
-    area, intensity [N]; settings float64: their numbers; workspace [WORKSPACE_PER_LIGHT N], front int64 [N]. `out` float64
-    [P, WIDTH] and `norms` [P, 2] (specular gradient norm, passes) are filled.
+    area, intensity [N], gains [3, N]; settings float64: their numbers; workspace [WORKSPACE_PER_LIGHT N], front int64 [N].
+    `out` float64 [P, WIDTH] and `norms` [P, 2] (specular gradient norm, passes) are filled.
     """
     samples = (carray(cross, (count, pixels, 3)), carray(parallel, (count, pixels, 3)))
     values, toward, surface = carray(table, 65536), carray(view, (pixels, 3)), carray(points, (pixels, 3))
     w, energy, areas = carray(directions, (3, count)), carray(intensity, count), carray(area, count)
+    white = carray(gains, (3, count))
     chosen = _settings(carray(settings, COUNT))
     rows, ends = carray(out, (pixels, WIDTH)), carray(norms, (pixels, 2))
     workspace = carray(workspace, WORKSPACE_PER_LIGHT * count)
@@ -87,7 +88,7 @@ def fit_pixels(
             if near:
                 _near(surface[at], carray(positions, (count, 3)), carray(intensity, count), w, energy)
             ends[at, 0], ends[at, 1] = fit_pixel(
-                x[3 * p : 3 * p + 3], y[3 * p : 3 * p + 3], w, toward[at], areas, energy, chosen, work, rows[at]
+                x[3 * p : 3 * p + 3], y[3 * p : 3 * p + 3], w, toward[at], areas, energy, white, chosen, work, rows[at]
             )  # fmt: skip
 
 
@@ -95,5 +96,5 @@ def build(sample: str, precision: str) -> tuple[str, bytes]:
     """Machine code of `fit_pixels` for samples "uint16", "float32" or "float64" and the arithmetic's precision."""
     stored, real, wide = (types.CPointer(getattr(types, name)) for name in (sample, precision, "float64"))
     table, front = types.CPointer(types.float32), types.CPointer(types.int64)
-    pointers = (stored, stored, table, wide, wide, real, wide, real, real, wide, real, front, wide, wide)
+    pointers = (stored, stored, table, wide, wide, real, wide, real, real, real, wide, real, front, wide, wide)
     return machine_code(fit_pixels, (*[types.int64] * 5, *pointers))

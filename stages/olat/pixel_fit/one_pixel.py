@@ -7,13 +7,15 @@ import math
 import numpy as np
 
 from pipeline.kernels.compiling import kernel
-from pipeline.kernels.numerics import FAST, HALF, ONE, ZERO
+from pipeline.kernels.numerics import ONE, copy1
 from pipeline.kernels.scratch import matrix, vector
-from pipeline.rig.lobes import VIEW_FLOOR, normal_equations, values
-from stages.olat.pixel_fit.diffuse import fit_normal
-from stages.olat.pixel_fit.fit_options import CORRELATION, JOINT, ROUND
+from pipeline.rig.lobes import VIEW_FLOOR, values
+from pipeline.rig.map_flags import AWAY, BAD_SAMPLES, BLACK, GOOD, NO_LOBE, SATURATED, TOO_FEW
+from stages.olat.pixel_fit.diffuse import channel_albedo, in_use_of
+from stages.olat.pixel_fit.fit_options import CORRELATION, JOINT, PARALLEL_ALONE, ROUND
 from stages.olat.pixel_fit.light_visibility import behind, diffuse_maps, printed_maps, specular_maps
 from stages.olat.pixel_fit.lobe_fit import fit_lobe, linear_albedo, round_start
+from stages.olat.pixel_fit.one_pass import diffuse_normal, leave_specular
 from stages.olat.pixel_fit.paper_forms import (
     correlation,
     correlation_normal,
@@ -26,33 +28,38 @@ from stages.olat.pixel_fit.result_layout import (
     ALBEDO_D,
     ALBEDO_S,
     ANISOTROPY,
-    AWAY,
-    BAD_SAMPLES,
-    BLACK,
     FLAG,
-    GOOD,
-    NO_LOBE,
     NORMAL,
     NORMAL_D,
     NORMAL_S,
-    OUTSIDE,
     RESIDUAL,
     ROUGHNESS,
-    SATURATED,
     SIGMA,
+    STD_ALBEDO_D,
+    STD_ALBEDO_S,
+    STD_NORMAL,
+    STD_NORMAL_D,
+    STD_NORMAL_S,
+    STD_SIGMA,
     TANGENT,
-    TOO_FEW,
-)
+)  # fmt: skip
 from stages.olat.pixel_fit.separation import separate
 from stages.olat.pixel_fit.specular import LEAST_COSINE, LOBE_FRACTION, frame_about, half_vectors, start_normal, sums, widths
-from stages.olat.pixel_fit.uncertainty import NEAREST, SURE, deviation, nearest, strong
+from stages.olat.pixel_fit.uncertainty import (
+    NEAREST,
+    ONE_WAY,
+    albedo_deviation,
+    determined,
+    direction_deviation,
+    strong,
+)  # fmt: skip
 
+GAUSSIAN = 1.22  # of the deviation of Gaussian residuals under the diffuse fit's weights: they have 0.82 of it
+MOST_UNSURE = 10.0  # relative standard deviation above which nothing is known
 BAD_SHARE = 0.1  # of a pixel's samples that may be not finite before the pixel is flagged
 NOISE_FLOOR = 1e-3  # of the brightest sample: half floats are this coarse
 FIXED = -1.0  # tie of a normal that is not to move
-UNSETTLED = 1e-3  # gradient norm, data of unit norm, of a fit that ended on the way; float32 and few lights leave up to 3e-4
 UNKNOWN = 1e6  # variance (rad²) of a normal that was not measured
-ONE_WAY = 0.75  # order of a pixel's tangents below which it has no one tangent
 WIDEST = 2.2  # of a lobe: the width of one that fills the hemisphere (slopes beyond 65 degrees) is not fixed by the samples
 LIT_LIGHTS = 4  # three determine a normal and its albedo exactly; only a fourth can contradict them
 EFFECTIVE_LIGHTS = 3.0  # a lobe seen by fewer has no width
@@ -60,33 +67,6 @@ FAINTEST = 0.01  # of the brightest sample, to count as light of the lobe: below
 CERTAIN = 3.0  # standard deviations of the noise above which a sample counts as light
 OPPOSITE = 2.0 * float(LEAST_COSINE) ** 2 - 1.0  # cosine of light and view at which h·o is `LEAST_COSINE`
 BEYOND = -0.05  # n·o (3 degrees past grazing) below which a normal faces away: smoothed normals at an outline come to that
-
-
-@kernel(fastmath=FAST, error_model="numpy")
-def _albedo(rgb, wx, wy, wz, nx, ny, nz, weight, out):
-    """PRF Eq. 16: ratio of two dot products over the lights in use; `out` [3] is filled."""
-    r = g = b = den = ZERO * nx
-    for k in range(weight.size):
-        p = nx * wx[k] + ny * wy[k] + nz * wz[k]
-        w = weight[k] * p
-        r += w * rgb[0, k]
-        g += w * rgb[1, k]
-        b += w * rgb[2, k]
-        den += w * p
-    if den > ZERO:
-        out[0], out[1], out[2] = r / den, g / den, b / den
-    else:
-        out[0] = out[1] = out[2] = ZERO
-
-
-@kernel(fastmath=FAST, error_model="numpy")
-def _in_use(weight):
-    """Sum of the weights, and how many of them count."""
-    s = n = ZERO * weight[0]
-    for k in range(weight.size):
-        s += weight[k]
-        n += ONE if weight[k] > HALF * HALF else ZERO
-    return float(s), float(n)
 
 
 @kernel(error_model="numpy")
@@ -109,11 +89,12 @@ def _gather(workspace, w, area, o, n_d, solved):
 
 
 @kernel(error_model="numpy")
-def fit_pixel(cross, parallel, w, o, area, energy, settings, workspace, out):
+def fit_pixel(cross, parallel, w, o, area, energy, gains, settings, workspace, out):
     """Fill `out` [WIDTH] for one pixel from its samples cross, parallel [3, N] (N lights at directions w [3, N]).
 
-    o [3]: unit, to the camera; area [N]: solid angles (sr); energy [N]: relative irradiance of each light. `out[FLAG]` says how
-    far the row is to be trusted; it never holds anything that is not finite. Returns (specular gradient norm, passes).
+    o [3]: unit, to the camera; area [N]: solid angles (sr); energy [N]: relative irradiance of each light,
+    gains [3, N] make it white. `out[FLAG]` says how far the row is to be trusted; it never holds anything
+    that is not finite. Returns (specular gradient norm, passes).
     """
     kind = energy.dtype.type
     for k in range(out.size):
@@ -126,7 +107,7 @@ def fit_pixel(cross, parallel, w, o, area, energy, settings, workspace, out):
             remove_overexposure(cross[c], level, workspace.front, delta)
             remove_overexposure(parallel[c], level, workspace.front, delta)
         level = np.inf
-    bad, clipped, top_d, top_s = separate(cross, parallel, energy, settings, kind(level), workspace)
+    bad, clipped, top_d, top_s = separate(cross, parallel, energy, gains, settings, kind(level), workspace)
     flag = BAD_SAMPLES if bad > BAD_SHARE * count else GOOD
     if not (top_d > 0 or top_s > 0):
         out[FLAG] = SATURATED if clipped * 2 > count else (BLACK if flag == GOOD else flag)
@@ -139,24 +120,29 @@ def fit_pixel(cross, parallel, w, o, area, energy, settings, workspace, out):
         return 0.0, 0
 
     # diffuse
-    mx, my, mz, scale, _, solved = fit_normal(
-        workspace.diffuse, workspace.ok, w[0], w[1], w[2], settings.rounds, settings.plain, workspace.weight, workspace.work
-    )
+    mx, my, mz, scale, _, solved = diffuse_normal(workspace, w, settings)
     size = math.sqrt(mx * mx + my * my + mz * mz)
     solved = solved and size > 0
     n_d = (o[0], o[1], o[2])
     square_d = data_d = 0.0
+    angle_d = math.pi  # root mean square error
     variance_d = UNKNOWN
     if solved:
         n_d = (mx / size, my / size, mz / size)
         nx, ny, nz = kind(n_d[0]), kind(n_d[1]), kind(n_d[2])
-        _albedo(workspace.rgb, w[0], w[1], w[2], nx, ny, nz, workspace.weight, out[ALBEDO_D:])
+        channel_albedo(workspace.rgb, w[0], w[1], w[2], nx, ny, nz, workspace.weight, out[ALBEDO_D:])
         for k in range(3):
             out[ALBEDO_D + k] = max(out[ALBEDO_D + k], 0.0)
-        in_use, lit = _in_use(workspace.weight)
+        in_use, lit = in_use_of(workspace.weight)
         if lit < LIT_LIGHTS and flag == GOOD:
             flag = TOO_FEW  # solved, but with nothing to spare
         variance_d = (scale / size) ** 2 * 3.0 / max(in_use, 1.0)
+        angle_d = direction_deviation(workspace.weight, w, n_d, scale, size)
+        out[STD_ALBEDO_D] = GAUSSIAN * albedo_deviation(workspace.rgb, workspace.weight, w[0], w[1], w[2], nx, ny, nz,
+                                                        out[ALBEDO_D], out[ALBEDO_D + 1], out[ALBEDO_D + 2])  # fmt: skip
+        if settings.one_pass >= PARALLEL_ALONE:
+            leave_specular(workspace.diffuse, workspace.ok, w[0], w[1], w[2], kind(mx), kind(my), kind(mz),
+                           kind(CERTAIN * scale), kind(1.0 / math.pi), workspace.specular)  # fmt: skip
         zeta = 2 * behind(workspace.diffuse, workspace.ok, w[0], w[1], w[2], nx, ny, nz) + NOISE_FLOOR * top_d
         square_d, data_d = diffuse_maps(workspace, w, area, n_d, size, zeta, out)
         if settings.printed_maps:
@@ -172,6 +158,7 @@ def fit_pixel(cross, parallel, w, o, area, energy, settings, workspace, out):
     # specular
     n = _gather(workspace, w, area, (o[0], o[1], o[2]), n_d, solved)
     norm, passes, variance_s, square_s, data_s = 0.0, 0, UNKNOWN, 0.0, 0.0
+    out[STD_NORMAL_S] = math.pi
     fitted = False
     n_s = n_d
     if n >= 3:
@@ -187,18 +174,16 @@ def fit_pixel(cross, parallel, w, o, area, energy, settings, workspace, out):
         n_d = n_s
         for k in range(3):
             out[NORMAL_D + k] = n_s[k]
+        angle_d = out[STD_NORMAL_S]
+    if not fitted:
+        out[STD_NORMAL_S] = angle_d
 
     a, b = 1.0 / variance_d, 1.0 / variance_s
     if settings.fuse_correlation and solved and fitted:
         lambert(n_d, w, workspace.scratch)
         a = correlation(workspace.scratch, workspace.diffuse, workspace.use)
         b = correlation(workspace.lobe[:n], workspace.light[:n], workspace.seen[:n])
-    x, y, z = a * n_d[0] + b * n_s[0], a * n_d[1] + b * n_s[1], a * n_d[2] + b * n_s[2]
-    length = math.sqrt(x * x + y * y + z * z)
-    if length > 0:
-        out[NORMAL], out[NORMAL + 1], out[NORMAL + 2] = x / length, y / length, z / length
-    else:
-        out[NORMAL], out[NORMAL + 1], out[NORMAL + 2] = n_d[0], n_d[1], n_d[2]
+    _fuse(n_d, n_s, a, b, angle_d, out)
     facing = out[NORMAL] * o[0] + out[NORMAL + 1] * o[1] + out[NORMAL + 2] * o[2]
     if facing < BEYOND and flag != SATURATED and flag != BAD_SAMPLES:
         flag = AWAY
@@ -214,6 +199,30 @@ def fit_pixel(cross, parallel, w, o, area, energy, settings, workspace, out):
             if out[at] == 0 and out[at + 1] == 0 and out[at + 2] == 0:
                 out[at], out[at + 1], out[at + 2] = o[0], o[1], o[2]
     return norm, passes
+
+
+@kernel(error_model="numpy")
+def _fuse(n_d, n_s, a, b, angle_d, out):
+    """The mean of the normals by weights a and b, and the standard deviations (degrees) of all three."""
+    angle_s = out[STD_NORMAL_S]
+    out[STD_NORMAL_D], out[STD_NORMAL_S] = math.degrees(angle_d), math.degrees(angle_s)
+    out[STD_NORMAL] = math.degrees(math.sqrt((a * angle_d) ** 2 + (b * angle_s) ** 2) / (a + b)) if a + b > 0 else 180.0
+    x, y, z = a * n_d[0] + b * n_s[0], a * n_d[1] + b * n_s[1], a * n_d[2] + b * n_s[2]
+    length = math.sqrt(x * x + y * y + z * z)
+    if length > 0:
+        out[NORMAL], out[NORMAL + 1], out[NORMAL + 2] = x / length, y / length, z / length
+    else:
+        out[NORMAL], out[NORMAL + 1], out[NORMAL + 2] = n_d[0], n_d[1], n_d[2]
+
+
+@kernel(error_model="numpy")
+def _unsure(flag, albedo, width, variance, large, small, out):
+    """Standard deviations of a lobe from those of its logarithms: what is not known is off by as much as it is."""
+    if flag != GOOD:
+        albedo, width = max(albedo, 1.0), max(width, 1.0)
+        out[STD_NORMAL_S] = min(math.sqrt(2.0 * variance), math.pi)
+    out[STD_ALBEDO_S] = min(albedo, MOST_UNSURE) * out[ALBEDO_S]
+    out[STD_SIGMA] = min(width, MOST_UNSURE) * math.sqrt(0.5 * (large * large + small * small))
 
 
 @kernel(error_model="numpy")
@@ -259,9 +268,8 @@ def _specular(n, w, o, area, settings, n_d, solved, top_d, workspace, out):
     if settings.specular_fit != JOINT:
         tie, tied, solved = FIXED, (x, y, z), False
     frame_about(x, y, z, frame)
-    flag, norm, passes, order, held = GOOD, 0.0, 0, 1.0, 0.0
-    if clipped > 0.5 * whole:
-        flag = SATURATED
+    norm, passes, order, held, unsure_albedo, unsure_width = 0.0, 0, 1.0, 0.0, 1.0, 1.0
+    flag = SATURATED if clipped > 0.5 * whole else GOOD
     light_sum, light_squares = strong(light, use, kind(max(FAINTEST * top, CERTAIN * noise)))
     fits = light_sum * light_sum >= EFFECTIVE_LIGHTS * light_squares
     if not fits:  # too narrow for the rig, or all but hidden: half vectors, moments, no fit
@@ -270,8 +278,7 @@ def _specular(n, w, o, area, settings, n_d, solved, top_d, workspace, out):
             frame_about(n_d[0], n_d[1], n_d[2], frame)
         round_start(light, use, LOBE_FRACTION * top, areas, half, cosine, frame, shape)  # about the normal that is kept
         values(settings.lobe, frame, shape, o, half, incident, g)
-        for j in range(n):
-            weight[j] = use[j]
+        copy1(use, weight)
     else:
         norm, passes, order, held = fit_lobe(settings, o, tied, tie, solved, half, incident, light, floor, use, areas, cosine,
                                              weight, g, top, noise, frame, shape, rho, equations, workspace)  # fmt: skip
@@ -282,8 +289,9 @@ def _specular(n, w, o, area, settings, n_d, solved, top_d, workspace, out):
     if large > WIDEST or not rho[0] > 0:
         flag = NO_LOBE
     elif fits and flag == GOOD:
-        flag = _determined(settings, frame, shape, rho[0], order, norm, equations, held, o, half, incident, light, floor, use,
-                           weight, g, top, tie < 0)  # fmt: skip
+        flag, unsure_albedo, unsure_width, out[STD_NORMAL_S] = determined(
+            settings, frame, shape, rho[0], order, norm, equations, held, o, half, incident, light, floor, use, weight, g, top,
+            tie < 0)  # fmt: skip
     if fits and flag != GOOD and flag != SATURATED:  # no brighter at its peak than the brightest sample extrapolated so far
         facing = max(frame[2, 0] * o[0] + frame[2, 1] * o[1] + frame[2, 2] * o[2], VIEW_FLOOR)
         width = min(large * small, WIDEST * WIDEST)
@@ -302,29 +310,5 @@ def _specular(n, w, o, area, settings, n_d, solved, top_d, workspace, out):
         printed_maps(workspace.specular, workspace, w, n_s, zeta, out, True)
     in_lobe = max(whole * whole / squares, 1.0)
     variance = (square / max(data, 1e-30) + 1e-6) * large * small / in_lobe + (1.0 if flag != GOOD else 0.0)
+    _unsure(flag, unsure_albedo, unsure_width, variance, large, small, out)
     return True, n_s, norm, passes, variance, square, data, flag
-
-
-@kernel(error_model="numpy")
-def _determined(
-    settings, frame, shape, rho, order, norm, equations, held, o, half, incident, light, floor, use, weight, g, top, fixed
-):
-    """GOOD where the lights tell the lobe that was fitted to them; OUTSIDE where its peak lies beyond them; else TOO_FEW."""
-    large, small, angle = widths(shape)
-    axes = matrix(3, 3)
-    along, across = math.cos(angle), math.sin(angle)
-    for k in range(3):
-        axes[0, k] = along * frame[0, k] + across * frame[1, k]
-        axes[1, k] = along * frame[1, k] - across * frame[0, k]
-        axes[2, k] = frame[2, k]
-    peak = nearest(half, use, axes, large, small if order > ONE_WAY else large)
-    if peak > NEAREST:
-        return OUTSIDE
-    n = 4 if shape[0] == shape[1] and shape[2] == 0.0 else 6
-    if order != 1.0:  # tangents mix: judged as one lobe of these widths
-        n, held, norm, gradient = 6, 0.0, 0.0, vector(6)
-        normal_equations(settings.lobe, frame, shape, rho, o, half, incident, light, floor, weight, equations, gradient)
-    unsure = deviation(equations, n, shape, rho, light, floor, weight, g, held, fixed, top)
-    if unsure < SURE and not norm > UNSETTLED:
-        return GOOD
-    return OUTSIDE if peak > 0.5 * NEAREST else TOO_FEW

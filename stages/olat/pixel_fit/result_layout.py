@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-GOOD, TOO_FEW, SATURATED, BLACK, NO_LOBE, BAD_SAMPLES, AWAY, OUTSIDE = range(8)
-FLAGS = ("good", "too few lights", "saturated", "black", "no lobe", "bad samples", "facing away", "peak outside the lights")
-
 MAPS = {
     "diffuse_albedo": ("R", "G", "B"),
     "specular_albedo": ("Y",),
@@ -22,6 +19,12 @@ MAPS = {
     "interreflection_d": ("R", "G", "B"),
     "interreflection_s": ("Y",),
     "residual": ("Y", "flag"),
+    "std_diffuse_normal": ("Y",),
+    "std_specular_normal": ("Y",),
+    "std_normal": ("Y",),
+    "std_diffuse_albedo": ("Y",),
+    "std_specular_albedo": ("Y",),
+    "std_sigma": ("Y",),
 }
 """Maps of one camera and their channels, in the order of a pixel's row of results."""
 
@@ -44,4 +47,6 @@ ANISOTROPY, OCCLUSION_D, OCCLUSION_S = (_AT[n] for n in ("anisotropy", "occlusio
 VISIBILITY_D, VISIBILITY_S = _AT["visibility_d"], _AT["visibility_s"]
 INTER_D, INTER_S, RESIDUAL = (_AT[n] for n in ("interreflection_d", "interreflection_s", "residual"))
 FLAG = RESIDUAL + 1
-WIDTH = FLAG + 1
+STD_NORMAL_D, STD_NORMAL_S, STD_NORMAL = (_AT[f"std_{n}"] for n in ("diffuse_normal", "specular_normal", "normal"))
+STD_ALBEDO_D, STD_ALBEDO_S, STD_SIGMA = (_AT[f"std_{n}"] for n in ("diffuse_albedo", "specular_albedo", "sigma"))
+WIDTH = STD_SIGMA + 1

@@ -6,6 +6,7 @@ import math
 
 from pipeline.kernels.compiling import kernel
 from pipeline.kernels.numerics import FAST, LARGEST, ONE, ZERO
+from stages.olat.pixel_fit.fit_options import BOTH, UNPOLARISED
 
 
 @kernel(fastmath=FAST, error_model="numpy")
@@ -27,9 +28,9 @@ def _clipped(a, b, c, level, out):
 
 
 @kernel(fastmath=FAST, error_model="numpy")
-def _scaled(sample, fine, energy, scale, out):
+def _scaled(sample, fine, energy, gain, scale, out):
     for k in range(out.size):
-        v, e = sample[k], energy[k]
+        v, e = sample[k] * gain[k], energy[k]
         out[k] = scale * v / e if fine[k] > ZERO else ZERO
 
 
@@ -44,11 +45,11 @@ def _mean(a, b, c, third, out):
 
 
 @kernel(fastmath=FAST, error_model="numpy")
-def _difference(a, b, c, crossed, fine, energy, scale, per_cross, out):
+def _difference(a, b, c, ga, gb, gc, crossed, fine, energy, scale, per_cross, out):
     """Parallel less crossed samples; `crossed` is their mean in albedo units."""
     top = ZERO * energy[0]
     for k in range(out.size):
-        v = scale * (a[k] + b[k] + c[k]) / energy[k] - per_cross * crossed[k]
+        v = scale * (a[k] * ga[k] + b[k] * gb[k] + c[k] * gc[k]) / energy[k] - per_cross * crossed[k]
         v = v if fine[k] > ZERO else ZERO
         out[k] = v
         top = max(top, v)
@@ -67,14 +68,15 @@ def _marks(fine, floor, ok):
 
 
 @kernel(error_model="numpy")
-def separate(cross, parallel, energy, settings, level, workspace):
+def separate(cross, parallel, energy, gains, settings, level, workspace):
     """I_d = 2 I_x and I_s = f (I_p - I_x) per unit of irradiance; marks samples that are not finite or clipped.
 
-    cross, parallel [3, N]. Returns (samples that are bad, clipped, brightest diffuse, brightest specular). Many short loops,
-    each over few arrays: one long loop would not vectorise.
+    cross, parallel [3, N]; gains [3, N]: what makes each light white. Returns (samples that are bad, clipped, brightest
+    diffuse, brightest specular). Many short loops, each over few arrays: one long loop would not vectorise.
     """
     kind = energy.dtype.type
-    scale_d = kind(2.0 * math.pi / settings.irradiance)
+    halved = 1.0 if settings.one_pass == UNPOLARISED else 2.0
+    scale_d = kind(halved * math.pi / settings.irradiance)
     scale_s = kind(settings.specular_factor / (3.0 * settings.irradiance))
     per_cross = kind(settings.specular_factor / (2.0 * math.pi))
     fine = workspace.scratch
@@ -82,10 +84,16 @@ def separate(cross, parallel, energy, settings, level, workspace):
     _clipped(cross[0], cross[1], cross[2], level, workspace.ok)
     _clipped(parallel[0], parallel[1], parallel[2], level, workspace.floor)
     for c in range(3):
-        _scaled(cross[c], fine, energy, scale_d, workspace.rgb[c])
+        _scaled(cross[c], fine, energy, gains[c], scale_d, workspace.rgb[c])
     top_d = _mean(workspace.rgb[0], workspace.rgb[1], workspace.rgb[2], kind(1.0 / 3.0), workspace.diffuse)
+    if settings.one_pass != BOTH:  # the passes are one: what there is of specular light is found after the diffuse fit
+        for k in range(workspace.specular.size):
+            workspace.specular[k] = kind(0.0)
+        clipped = _marks(fine, workspace.floor, workspace.ok)
+        return int(bad), int(clipped), top_d, kind(0.0)
     top_s = _difference(
-        parallel[0], parallel[1], parallel[2], workspace.diffuse, fine, energy, scale_s, per_cross, workspace.specular
-    )
+        parallel[0], parallel[1], parallel[2], gains[0], gains[1], gains[2], workspace.diffuse, fine, energy, scale_s,
+        per_cross, workspace.specular,
+    )  # fmt: skip
     clipped = _marks(fine, workspace.floor, workspace.ok)
     return int(bad), int(clipped), top_d, top_s

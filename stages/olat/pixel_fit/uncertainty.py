@@ -9,8 +9,11 @@ from __future__ import annotations
 import math
 
 from pipeline.kernels.compiling import kernel
-from pipeline.kernels.numerics import FAST, ZERO, cholesky_solve
+from pipeline.kernels.numerics import FAST, ONE, ZERO, cholesky_solve
 from pipeline.kernels.scratch import matrix, vector
+from pipeline.rig.lobes import normal_equations
+from pipeline.rig.map_flags import GOOD, OUTSIDE, TOO_FEW
+from stages.olat.pixel_fit.specular import widths
 
 SURE = 0.15
 """Standard deviation of the log of a width or of the albedo up to which a lobe counts as determined: half of a value (0.4 in
@@ -20,6 +23,9 @@ NEAREST = 1.2
 is said of the peak is more extrapolated than seen."""
 GRAIN = 1e-3
 """Of the brightest sample: the standard deviation that half floats and the lobe's own form leave at best."""
+UNSETTLED = 1e-3
+"""Gradient norm, data of unit norm, of a fit that ended on the way; float32 and few lights leave up to 3e-4."""
+ONE_WAY = 0.75  # order of a pixel's tangents below which it has no one tangent
 UNDETERMINED = 1e6  # standard deviation of what the samples do not determine
 
 
@@ -70,7 +76,9 @@ def _noise(g, rho, light, floor, weight):
 
 @kernel(error_model="numpy")
 def deviation(equations, n, shape, rho, light, floor, weight, g, tied, fixed, top):
-    """Largest standard deviation of the log widths and the log albedo, `UNDETERMINED` where the samples leave one free.
+    """Standard deviations: the largest of the log widths and the log albedo, the albedo's, the widths' (root mean square).
+
+    `UNDETERMINED` where the samples leave one free.
 
     equations [6, 6]: normal equations of n parameters: d1, d2, A, rho of a round lobe (4), d1, d2, A, B, C, rho (6); tied: what
     a tie to n_d added to the first two, which is taken out: only the samples tell; fixed: the normal was given; top: brightest
@@ -88,9 +96,9 @@ def deviation(equations, n, shape, rho, light, floor, weight, g, tied, fixed, to
             equations[k, k] -= tied
     for k in range(n):
         if not equations[k, k] > 0:
-            return UNDETERMINED
+            return UNDETERMINED, UNDETERMINED, UNDETERMINED
         scale[k] = math.sqrt(equations[k, k])
-    worst = 0.0
+    worst = albedo = width = 0.0
     for which in range(3 if n == 6 else 2):
         for k in range(n):
             right[k] = 0.0
@@ -105,12 +113,82 @@ def deviation(equations, n, shape, rho, light, floor, weight, g, tied, fixed, to
             for j in range(n):
                 system[k, j] = equations[k, j] / (scale[k] * scale[j])
         if not cholesky_solve(system, right, n, out):
-            return UNDETERMINED
+            return UNDETERMINED, UNDETERMINED, UNDETERMINED
         total = 0.0
         for k in range(n):
             total += right[k] * out[k]
         worst = max(worst, total)
-    return min(math.sqrt(worst * variance), UNDETERMINED)
+        albedo += total if which == 0 else 0.0
+        width += 0.0 if which == 0 else total / (2.0 if n == 6 else 1.0)
+    return _root(worst * variance), _root(albedo * variance), _root(width * variance)
+
+
+@kernel(error_model="numpy")
+def _root(variance):
+    return min(math.sqrt(variance), UNDETERMINED)
+
+
+@kernel(error_model="numpy")
+def tilt_deviation(equations, n, shape, rho, light, floor, weight, g, top):
+    """Root mean square angle (rad) by which noise turns the lobe's normal, ties to n_d included; arguments as `deviation`'s."""
+    square, count = _noise(g, light.dtype.type(rho), light, floor, weight)
+    variance = max(square / max(count - n, 1.0), (GRAIN * top) ** 2)
+    right, out, total = vector(6), vector(6), 0.0
+    system = matrix(6, 6)
+    for which in range(2):
+        for k in range(n):
+            right[k] = 1.0 if k == which else 0.0
+            for j in range(n):
+                system[k, j] = equations[k, j]
+        if not cholesky_solve(system, right, n, out):
+            return math.pi
+        total += out[which]
+    return min(math.sqrt(max(total, 0.0) * variance), math.pi)
+
+
+@kernel(fastmath=FAST, error_model="numpy")
+def _moments(weight, wx, wy, wz):
+    a = b = c = d = e = f = ZERO * weight[0]
+    for k in range(weight.size):
+        p, q, r = weight[k] * wx[k], weight[k] * wy[k], weight[k] * wz[k]
+        a += p * wx[k]
+        b += p * wy[k]
+        c += p * wz[k]
+        d += q * wy[k]
+        e += q * wz[k]
+        f += r * wz[k]
+    return float(a), float(b), float(c), float(d), float(e), float(f)
+
+
+@kernel(error_model="numpy")
+def direction_deviation(weight, w, n, noise, size):
+    """Root mean square angle (rad) by which noise (a sample's standard deviation) turns a diffuse normal n of this albedo.
+
+    The covariance of the scaled normal is noise² (sum of w l lᵀ)⁻¹ over the lights in use; what of it lies across n turns it.
+    """
+    a, b, c, d, e, f = _moments(weight, w[0], w[1], w[2])
+    xx, yy, zz = d * f - e * e, a * f - c * c, a * d - b * b
+    xy, xz, yz = c * e - b * f, b * e - c * d, b * c - a * e
+    determinant = a * xx + b * xy + c * xz
+    if not determinant > 0:
+        return math.pi
+    along = (n[0] * n[0] * xx + n[1] * n[1] * yy + n[2] * n[2] * zz
+             + 2.0 * (n[0] * n[1] * xy + n[0] * n[2] * xz + n[1] * n[2] * yz))  # fmt: skip
+    across = max(xx + yy + zz - along, 0.0) / determinant
+    return min(noise / size * math.sqrt(across), math.pi)
+
+
+@kernel(fastmath=FAST, error_model="numpy")
+def albedo_deviation(rgb, weight, wx, wy, wz, nx, ny, nz, red, green, blue):
+    """Standard deviation of an albedo's channels, the noise being the weighted misfit of all three."""
+    square = count = power = ZERO * nx
+    for k in range(weight.size):
+        p = nx * wx[k] + ny * wy[k] + nz * wz[k]
+        r, g, b = rgb[0, k] - red * p, rgb[1, k] - green * p, rgb[2, k] - blue * p
+        square += weight[k] * (r * r + g * g + b * b)
+        count += weight[k]
+        power += weight[k] * p * p
+    return math.sqrt(square / (count * power) / (ONE + ONE + ONE)) if power > ZERO else ZERO
 
 
 @kernel(error_model="numpy")
@@ -130,3 +208,32 @@ def _width_slope(shape, wide, out):
     out[2] = -(x * x * a * a + x * y * a * c) / value
     out[3] = -y * y * b * b / value
     out[4] = -(x * y * a + y * y * c) / value
+
+
+@kernel(error_model="numpy")
+def determined(
+    settings, frame, shape, rho, order, norm, equations, held, o, half, incident, light, floor, use, weight, g, top, fixed
+):
+    """GOOD where the lights tell the lobe that was fitted to them; OUTSIDE where its peak lies beyond them; else TOO_FEW.
+
+    With it the standard deviations of the log albedo and the log widths, and the angle (rad) by which noise turns the normal.
+    """
+    large, small, angle = widths(shape)
+    axes = matrix(3, 3)
+    along, across = math.cos(angle), math.sin(angle)
+    for k in range(3):
+        axes[0, k] = along * frame[0, k] + across * frame[1, k]
+        axes[1, k] = along * frame[1, k] - across * frame[0, k]
+        axes[2, k] = frame[2, k]
+    peak = nearest(half, use, axes, large, small if order > ONE_WAY else large)
+    if peak > NEAREST:
+        return OUTSIDE, 1.0, 1.0, math.pi
+    n = 4 if shape[0] == shape[1] and shape[2] == 0.0 else 6
+    if order != 1.0:  # tangents mix: judged as one lobe of these widths
+        n, held, norm, gradient = 6, 0.0, 0.0, vector(6)
+        normal_equations(settings.lobe, frame, shape, rho, o, half, incident, light, floor, weight, equations, gradient)
+    tilt = 0.0 if fixed else tilt_deviation(equations, n, shape, rho, light, floor, weight, g, top)
+    unsure, albedo, width = deviation(equations, n, shape, rho, light, floor, weight, g, held, fixed, top)
+    if unsure < SURE and not norm > UNSETTLED:
+        return GOOD, albedo, width, tilt
+    return (OUTSIDE if peak > 0.5 * NEAREST else TOO_FEW), albedo, width, tilt

@@ -10,12 +10,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.capture.model import Passes
 from pipeline.capture.naming.files import some
 from pipeline.engine.stage import StageRun
 from pipeline.errors import UserError
 from pipeline.formats.images import read_mask
 from pipeline.geometry.cameras import Camera, camera_from_frame
 from pipeline.rig.frame_files import frames_root
+from pipeline.rig.light_table import LightTable
+from pipeline.rig.solid_angles import solid_angles
 from stages.olat.parameters import OlatParameters, every
 from stages.olat.reading.frame_reader import is_half
 from stages.olat.reading.scanline_bands import Band, bands_of
@@ -25,7 +28,8 @@ PILOT = 150  # pixels on which the lobe is chosen: its share of them is known to
 
 @dataclass(frozen=True)
 class CameraJob:
-    """One camera's frames in the order of the lights, its pose, its mask and its bands; half: the frames are half floats."""
+    """One camera's frames in the order of the lights, its pose, its mask and its bands; half: the frames are half floats;
+    passes: which it has (of one alone both lists are the same)."""
 
     name: str
     cross: list[Path]
@@ -34,11 +38,24 @@ class CameraJob:
     mask: NDArray[np.bool_]
     half: bool
     bands: list[Band]
+    passes: Passes = "both"
 
 
 def decoded(stage: StageRun) -> dict[str, Any]:
     """The index of the light stage that decode left."""
     return json.loads((stage.inputs["decode"] / "olat.json").read_text())
+
+
+def light_rig(index: dict[str, Any], step: int = 1) -> LightTable:
+    """The lights of olat.json, each `step`-th, with solid angles (computed where the table has none)."""
+    table = index["lights"]
+    directions = np.array(table["directions"])[::step]
+    positions = np.array(table["positions"])[::step]
+    intensity = np.array(table["intensity"])[::step]
+    given = table.get("solid_angle")
+    area = np.array(given) if given is not None and step == 1 else solid_angles(directions)
+    colour = np.array(table["colour"])[::step] if "colour" in table else None
+    return LightTable(directions, positions, intensity, area, colour=colour)
 
 
 def camera_jobs(stage: StageRun) -> list[CameraJob]:
@@ -78,7 +95,7 @@ def _job(stage: StageRun, name: str, entry: dict[str, Any], frames: Path) -> Cam
     cross, parallel = ([frames / p for p in entry[key]][::step] for key in ("cross", "parallel"))
     half = all(is_half(path) for path in (cross[0], parallel[0]))
     bands = bands_of(mask, len(cross), parameters.band_mb, 2 if half else 4)
-    return CameraJob(name, cross, parallel, camera, mask, half, bands)
+    return CameraJob(name, cross, parallel, camera, mask, half, bands, entry.get("passes", "both"))
 
 
 def middle_chunk(job: CameraJob) -> Band:

@@ -9,22 +9,12 @@ import numpy as np
 from scipy import ndimage, sparse
 
 from pipeline.errors import UserError
-from pipeline.geometry.axes import nearest_to_lines
-from pipeline.geometry.cameras import Camera
 from pipeline.geometry.normals import vertex_normals
+from pipeline.geometry.silhouette_hull import Silhouette, bounds, grid, occupancy, signed_distance
 
 from .points import PointSurface
 
-MIN_VIEW_FRACTION = 0.5  # points outside the frame of more than this share of the views are treated as empty
 SMALLEST_PART = 0.02  # parts with less than this share of the largest part's volume are carving debris
-
-
-@dataclass(frozen=True)
-class Silhouette:
-    """One view's mask (coverage 0..1, [H, W]) with its camera."""
-
-    camera: Camera
-    mask: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -34,81 +24,6 @@ class HullMesh:
     vertices: np.ndarray
     triangles: np.ndarray
     normals: np.ndarray
-
-
-def signed_distance(mask: np.ndarray, offset: float = 0.0, blur: float = 0.7) -> np.ndarray:
-    """Signed distance in pixels to the mask's contour, positive inside, float32 [H, W].
-
-    `offset` grows the mask; `blur` (pixels) takes the stair steps out of it.
-    """
-    inside = mask > 0.5
-    if not inside.any() or inside.all():
-        return np.full(mask.shape, 1e3 if inside.all() else -1e3, np.float32)
-    far = ndimage.distance_transform_edt(inside) - 0.5
-    near = ndimage.distance_transform_edt(~inside) - 0.5
-    distance = np.where(inside, far, -near)
-    soft = (mask > 0.02) & (mask < 0.98)
-    distance = np.where(soft, mask - 0.5, distance)
-    return (ndimage.gaussian_filter(distance, blur) + offset).astype(np.float32)
-
-
-def bounds(silhouettes: Sequence[Silhouette]) -> tuple[np.ndarray, float]:
-    """Centre [3] and half-size of a cube that holds the object: where the rays through the mask centroids meet best."""
-    centres, directions, spreads = [], [], []
-    for s in silhouettes:
-        ys, xs = np.nonzero(s.mask > 0.5)
-        if not len(xs):
-            continue
-        pixel = np.array([xs.mean() + 0.5, ys.mean() + 0.5])
-        c = s.camera
-        local = np.array([(pixel[0] - c.cx) / c.fx, (pixel[1] - c.cy) / c.fy, 1.0])
-        direction = c.world_to_camera[:3, :3].T @ local
-        centres.append(c.centre)
-        directions.append(direction / np.linalg.norm(direction))
-        across, down = (max(float(np.abs(v).max()), 0.5) for v in (xs + 0.5 - pixel[0], ys + 0.5 - pixel[1]))
-        spreads.append(np.hypot(across / c.fx, down / c.fy))
-    if not centres:
-        raise UserError("masks", "every mask is empty", "check the masks")
-    o, d = np.array(centres), np.array(directions)
-    centre = nearest_to_lines(o, d)
-    if centre is None:
-        raise UserError("cameras", "every view looks along the same line", "photograph the object from around it")
-    depths = np.einsum("vk,vk->v", centre - o, d)
-    if np.median(depths) <= 0:
-        raise UserError("cameras", "the views look away from each other's object", "check the camera convention")
-    return centre, float(np.median(np.array(spreads) * depths))
-
-
-def occupancy(
-    silhouettes: Sequence[Silhouette], distances: Sequence[np.ndarray], points: np.ndarray, outvoted: int = 0
-) -> np.ndarray:
-    """Signed distance to the hull (world units, positive inside) at points [M, 3].
-
-    A point outside a picture is not judged by it; one that fewer than half of the pictures judge is outside. With
-    `outvoted` = k the k most negative views are overruled, which forgives that many bad masks.
-    """
-    worst = np.full((outvoted + 1, len(points)), np.inf, np.float32)
-    judges = np.zeros(len(points), np.int32)
-    for s, distance in zip(silhouettes, distances):
-        pixels, z = s.camera.project(points)
-        height, width = distance.shape
-        with np.errstate(invalid="ignore"):
-            seen = (z > 0) & (pixels >= 0).all(-1) & (pixels[:, 0] <= width) & (pixels[:, 1] <= height)
-        at = pixels[seen]
-        value = ndimage.map_coordinates(distance, [at[:, 1] - 0.5, at[:, 0] - 0.5], order=1, mode="nearest")
-        length = np.full(len(points), np.inf, np.float32)
-        judges += seen
-        length[seen] = value * (z[seen] / (0.5 * (s.camera.fx + s.camera.fy))).astype(np.float32)
-        worst = np.sort(np.concatenate([worst, length[None]]), 0)[: outvoted + 1] if outvoted else np.minimum(worst, length)
-    far = max(float(np.abs(worst[np.isfinite(worst)]).max()) if np.isfinite(worst).any() else 1.0, 1e-30)
-    judged = judges >= max(2, MIN_VIEW_FRACTION * len(silhouettes))
-    return np.where(judged & np.isfinite(worst[-1]), worst[-1], -far).astype(np.float32)
-
-
-def _grid(low: np.ndarray, high: np.ndarray, spacing: float) -> tuple[np.ndarray, tuple[int, ...]]:
-    # Counted, not stepped to an end: far from the origin the end would be met or missed by rounding.
-    axes = [a + spacing * np.arange(int(np.ceil(round((b - a) / spacing, 6))) + 1) for a, b in zip(low, high)]
-    return np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3), tuple(map(len, axes))
 
 
 def visual_hull(
@@ -127,7 +42,7 @@ def visual_hull(
     distances = [signed_distance(s.mask, offset) for s in silhouettes]
     centre, half = bounds(silhouettes)
     half *= 1.3
-    coarse, coarse_shape = _grid(centre - half, centre + half, 2 * half / 40)
+    coarse, coarse_shape = grid(centre - half, centre + half, 2 * half / 40)
     near = outer = without_debris(occupancy(silhouettes, distances, coarse, outvoted).reshape(coarse_shape))
     if within is not None:
         near = without_debris(within.cut(coarse, near.ravel()).reshape(coarse_shape))
@@ -138,7 +53,7 @@ def visual_hull(
     margin = 2 * half / 40
     low, high = kept.min(0) - margin, kept.max(0) + margin
     spacing = float((high - low).max()) / resolution
-    points, shape = _grid(low, high, spacing)
+    points, shape = grid(low, high, spacing)
 
     def looked_up(field: np.ndarray) -> np.ndarray:
         return ndimage.map_coordinates(field, ((points - (centre - half)) / (2 * half / 40)).T, order=1, mode="nearest")

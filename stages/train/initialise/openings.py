@@ -17,8 +17,9 @@ from scipy.spatial import cKDTree
 
 from pipeline.geometry.cameras import Camera
 from pipeline.geometry.rays import RayMesh
+from pipeline.geometry.silhouette_hull import signed_distance
 
-from .hull import HullMesh, signed_distance, smoothed
+from .hull import HullMesh, smoothed
 
 DEPTH = 4.0  # pixels that are cut away along a viewing ray: a wall deeper down hides in the next view already
 VOXEL = 0.5  # pixels

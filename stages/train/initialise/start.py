@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.errors import UserError
+from pipeline.geometry.silhouette_hull import Silhouette, bounds, occupancy, signed_distance
 
-from .hull import HullMesh, Silhouette, bounds, occupancy, signed_distance, visual_hull
+from .hull import HullMesh, visual_hull
 from .points import OrientedPoints, PointSurface, orient
 
 FEWEST_POINTS = 200  # fewer do not show a shape

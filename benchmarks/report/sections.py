@@ -1,0 +1,145 @@
+"""What the page says of each stored result: a title, how it is run, points to plot and rows to print."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+from benchmarks.report.scatter import Point
+
+Rows = list[list[str]]
+"""A table: heads, then cells."""
+
+
+@dataclass(frozen=True)
+class Section:
+    """A part of the page; `plots`: (name, points, title of the time axis, title of the error axis)."""
+
+    title: str
+    text: str
+    rows: Rows
+    plots: list[tuple[str, list[Point], str, str]] = field(default_factory=list)
+
+
+def number(value: Any, digits: int = 3) -> str:
+    """A figure as text."""
+    return value if isinstance(value, str) else "" if value is None else f"{value:.{digits}g}"
+
+
+def decode(stored: dict[str, Any]) -> Section:
+    """Every way to a Stokes image."""
+    points, rows = [], [["method", "DoLP, RMS error", "s a megapixel", "default"]]
+    for name, row in stored["error"].items():
+        own = "carriers" in name or name == "stack 0 45 90 135"
+        points.append(Point("both captures", name, row["s_per_mpx"], row["dolp_rmse"], own))
+        rows.append([name, number(row["dolp_rmse"]), number(row["s_per_mpx"]), "yes" if own else ""])
+    text = (
+        "Mosaics and angle stacks made from captures with known Stokes vectors, with sensor noise, and solved by each method."
+    )
+    return Section("Decode", text, rows, [("decode", points, "seconds a megapixel", "DoLP, RMS error")])
+
+
+def masks(stored: list[dict[str, Any]]) -> Section:
+    """Every way to an object's mask."""
+    points, rows = [], [["capture", "method", "IoU, mean", "IoU, least", "s a view"]]
+    for row in stored:
+        own = row["method"] in ("all views together", "matte")
+        points.append(Point(row["capture"], row["method"], row["s_per_view"], 1 - row["iou_mean"], own))
+        figures = (row["iou_mean"], row["iou_min"], row["s_per_view"])
+        rows.append([row["capture"], row["method"], *(number(f) for f in figures)])
+    return Section(
+        "Masks", "Segmentation against known masks, with a background put behind the object.", rows,
+        [("masks", points, "seconds a view", "1 - IoU")],
+    )  # fmt: skip
+
+
+def poses(stored: dict[str, Any]) -> Section:
+    """Cameras from photographs alone."""
+    rows = [["features found at", "registered", "reprojection error, px", "focal length off, %", "s"]]
+    points = []
+    for name, row in stored.items():
+        if isinstance(row, dict):
+            off = max(map(abs, row.get("focal_error_pct", [float("nan")])))
+            rows.append(
+                [
+                    name,
+                    f"{row['registered']} of {row['views']}",
+                    number(row["reprojection_error_px"]),
+                    number(off),
+                    number(row["poses_s"]),
+                ]
+            )
+            points.append(Point("photographs", name, row["poses_s"], off, name == "ours"))
+    text = "Structure from motion on 11 photographs whose focal length is known."
+    return Section("Poses", text, rows, [("poses", points, "seconds", "focal length, % off")])
+
+
+def olat(stored: dict[str, Any]) -> Section:
+    """Light-stage fits: solvers, lights, forms."""
+    points = [Point("closed forms", q, row["seconds"], row["gradient"], True) for q, row in stored["ours"].items()]
+    for solver, quantities in stored["theirs"].items():
+        points += [Point(solver, q, row["seconds"], row["gradient"]) for q, row in quantities.items()]
+    points += [
+        Point("published (A6000)", f"{s} {q}", t, g) for s, row in stored["published"].items() for q, (t, g) in row.items()
+    ]
+    rows = [["solver", "quantity", "s a pixel", "gradient at the end"]]
+    rows += [[p.series, p.label, number(p.time), number(p.error)] for p in points if not p.series.startswith("published")]
+    forms = [
+        Point(row["pixels"], row["form"], 1 / row["px_per_s"], row["n_d_mean_deg"], row["form"] == "default")
+        for row in stored["forms"] if row.get("px_per_s") and row.get("n_d_mean_deg")
+    ]  # fmt: skip
+    speed = stored["speed"]
+    text = (
+        f"PRF's Table 3 rerun: the gradient's norm where a solver ends, against its seconds. The whole chain: "
+        f"{number(speed['pixels_per_s'])} pixels a second, {speed['lights']} lights, {speed['threads']} threads, "
+        f"{number(speed['peak_rss_mb'])} MB."
+    )
+    return Section(
+        "Light-stage fits", text, rows,
+        [
+            ("olat-solvers", points, "seconds a pixel", "gradient norm at the end"),
+            ("olat-forms", forms, "seconds a pixel", "diffuse normal, mean error (degrees)"),
+        ],
+    )  # fmt: skip
+
+
+def rasterize(stored: dict[str, Any]) -> Section:
+    """The rasteriser against its float64 reference."""
+    rows = [["backend", "forward, ms", "forward and backward, ms"]]
+    for name in ("cpu", "cpu_as_in_training", "cpu_612x512_100k", "reference"):
+        row = stored.get(name, {})
+        both = row.get("forward_backward_ms", {}).get("median")
+        rows.append([name.replace("_", " "), number(row.get("forward_ms", {}).get("median")), number(both)])
+    text = (
+        f"{number(stored['times_reference_forward_backward'])} times as fast as the readable float64 reference; largest "
+        f"relative difference {number(max(stored['relative_difference'].values()))}. {stored['machine']}, "
+        f"torch {stored['torch']}."
+    )
+    return Section("Rasteriser", text, rows, [])
+
+
+def train(stored: dict[str, Any]) -> Section:
+    """Training: error over seconds as it goes, and what each piece buys."""
+    points, rows = [], [["capture", "run", "steps", "s", "PSNR, object, dB", "normals, degrees", "environment, dB"]]
+    for capture, runs in stored["captures"].items():
+        for name, run in runs.items():
+            last = run["curve"][-1]
+            figures = (last["train_s"], last.get("psnr_foreground"), last.get("normal_mae_deg"), last.get("env_psnr"))
+            rows.append([capture, name, str(last["iteration"]), *(number(f) for f in figures)])
+            if name in ("stokes", "polarisers", "none"):
+                points += [
+                    Point(f"{capture}, {name}", f"{row['iteration']} steps", row["train_s"], row["normal_mae_deg"], row is last)
+                    for row in run["curve"] if row.get("normal_mae_deg")
+                ]  # fmt: skip
+    then = ", ".join(f"{name} {a} then, {b} now" for name, (a, b) in stored.get("defaults_since", {}).items())
+    text = "Normals of held-back views while training goes on, and runs with one piece changed."
+    if then:
+        text += f" Made with other defaults than today's: {then}."
+    return Section("Training", text, rows, [("train", points, "seconds of training", "normals, mean error (degrees)")])
+
+
+SECTIONS: dict[str, Callable[[Any], Section]] = {
+    "decode": decode, "masks": masks, "poses": poses, "rasterize": rasterize, "olat": olat, "train": train,
+}  # fmt: skip
+"""By the name of the stored result."""

@@ -1,0 +1,89 @@
+"""A mesh unwrapped into one rectangle of texels (xatlas)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.errors import UserError
+
+from .atlas_kernel import rasterise
+
+PADDING = 4
+"""Texels between charts: two levels of smaller textures are free of their neighbours' colour."""
+SMALLEST = 16
+TRIES = 12  # of fitting into the largest texture; the later half has a texel between charts
+SHRINKING = 1.1  # least factor from try to try: padding does not shrink
+
+
+@dataclass(frozen=True)
+class Atlas:
+    """source [W]: the mesh's vertex behind each of the atlas's; faces [F, 3] of the atlas's vertices, in the mesh's order;
+    uv [W, 2] in 0..1, v from the top row down, as in glTF; width, height in texels."""
+
+    source: NDArray[np.int64]
+    faces: NDArray[np.int64]
+    uv: NDArray[np.float64]
+    width: int
+    height: int
+
+
+@dataclass(frozen=True)
+class Texels:
+    """The texels whose centres lie on the surface: index [T] into the flattened texture, triangle [T], weights [T, 3]."""
+
+    index: NDArray[np.int64]
+    face: NDArray[np.int64]
+    weights: NDArray[np.float32]
+
+    def of(self, values: NDArray, faces: NDArray) -> NDArray[np.float32]:
+        """Values [W, C] of the vertices, interpolated at the texels [T, C]."""
+        corners = faces[self.face]
+        out = np.zeros((len(corners), values.shape[1]), np.float32)
+        for k in range(3):
+            out += self.weights[:, k, None] * values[corners[:, k]].astype(np.float32)
+        return out
+
+
+def unwrap(vertices: NDArray, faces: NDArray, texel: float, largest: int) -> Atlas:
+    """An atlas of vertices [V, 3] and triangles [F, 3] with texels of `texel` world units a side.
+
+    Larger ones where the texture would be longer than `largest` (texels). Raises UserError where it cannot be shrunk so far.
+    """
+    for attempt in range(TRIES):
+        atlas = _packed(vertices, faces, texel, PADDING if attempt < TRIES // 2 else 1)
+        longest = max(atlas.width, atlas.height)
+        if longest <= largest:
+            return atlas
+        texel *= max(SHRINKING, longest / largest)
+    raise UserError(
+        f"max_texture={largest}", f"{len(faces)} triangles do not fit into a texture of that size", "give a larger one"
+    )
+
+
+def _packed(vertices: NDArray, faces: NDArray, texel: float, padding: int) -> Atlas:
+    import xatlas
+
+    scale = 1.0 / texel  # in texels: xatlas drops triangles whose area looks like nothing to it
+    low = vertices.min(0)
+    atlas = xatlas.Atlas()
+    atlas.add_mesh(np.ascontiguousarray((vertices - low) * scale, np.float32), np.ascontiguousarray(faces, np.uint32))
+    pack = xatlas.PackOptions()
+    pack.texels_per_unit, pack.padding, pack.bilinear = 1.0, padding, True
+    atlas.generate(xatlas.ChartOptions(), pack)
+    source, triangles, uv = atlas[0]
+    width, height = (max(SMALLEST, n) for n in (atlas.width, atlas.height))
+    uv = uv.astype(np.float64) * (atlas.width / width, atlas.height / height)
+    return Atlas(source.astype(np.int64), triangles.astype(np.int64), uv, width, height)
+
+
+def texels_of(atlas: Atlas) -> Texels:
+    """Which texels the triangles cover, and where on them they lie."""
+    corners = np.ascontiguousarray((atlas.uv * (atlas.width, atlas.height))[atlas.faces])
+    face = np.full(atlas.width * atlas.height, -1, np.int32)
+    weights = np.zeros((len(face), 3), np.float32)
+    rasterise(corners, atlas.width, atlas.height, face, weights)
+    index = np.flatnonzero(face >= 0)
+    return Texels(index, face[index].astype(np.int64), weights[index])

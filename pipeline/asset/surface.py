@@ -1,0 +1,55 @@
+"""The textured surface as files hold it: metres, y up, colours as renderers take them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.geometry.world import Y_UP_FROM
+from pipeline.optics.fresnel import hemispherical_transmittance
+
+from .bake import Textured
+
+
+@dataclass(frozen=True)
+class Asset:
+    """A textured surface in metres, y up: what every file holds.
+
+    position, normal [W, 3], tangent [W, 4], faces [F, 3], uv [W, 2] (v from the top row down), maps [H, W, C] by name
+    (`Textured`'s, and base_color: the albedo as renderers take it). ior: the median, over what is seen.
+    """
+
+    position: NDArray[np.float64]
+    normal: NDArray[np.float64]
+    tangent: NDArray[np.float64]
+    faces: NDArray[np.int64]
+    uv: NDArray[np.float64]
+    maps: dict[str, NDArray[np.float32]]
+    ior: float
+
+
+def asset_from_world(up: str, unit_m: float | None) -> NDArray[np.float64]:
+    """The transform [4, 4] from a capture's world to an asset's: y up, metres (world units where it is not known)."""
+    out = np.eye(4)
+    out[:3, :3] = Y_UP_FROM[up] * (unit_m or 1.0)
+    return out
+
+
+def in_metres(surface: Textured, up: str, unit_m: float | None) -> Asset:
+    """The surface as its files hold it. `base_color` is albedo times the share of light that enters the body.
+
+    Renderers let light out of the body as 1 - (mirrored share); ours also let it in (`shade`), which over a constant sky is
+    `hemispherical_transmittance`: a tenth less at an index of 1.5.
+    """
+    matrix = asset_from_world(up, unit_m)
+    turn = Y_UP_FROM[up]
+    seen = surface.maps["coverage"][..., 0] > 0
+    entering = hemispherical_transmittance(surface.maps["ior"].astype(np.float64))
+    maps = {**surface.maps, "base_color": (surface.maps["albedo"] * entering).astype(np.float32)}
+    tangent = np.concatenate([surface.tangent[:, :3] @ turn.T, surface.tangent[:, 3:]], 1)
+    return Asset(
+        surface.position @ matrix[:3, :3].T, surface.normal @ turn.T, tangent, surface.faces, surface.uv, maps,
+        float(np.median(surface.maps["ior"][..., 0][seen])),
+    )  # fmt: skip

@@ -1,0 +1,131 @@
+"""Results copied to a folder of their own, in one format that other programs open."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.engine.dataset import Dataset
+from pipeline.errors import UserError
+from pipeline.formats import dataset_files as files
+from pipeline.formats.images import RGB, channel_names, read_image, srgb_encode, write_png
+from pipeline.formats.json_file import read_json
+from pipeline.geometry.cameras import load_cameras
+from pipeline.geometry.lens import frames_folder
+
+WHITE = 0.995  # quantile of a capture's radiance that 8-bit pictures show as white
+
+
+def export(dataset: Dataset, to: str, output: str) -> Path:
+    """Write one format of a dataset's results to a folder ("": DATASET-FORMAT beside it); returns the folder.
+
+    The folder appears whole or not at all. Raises UserError where the stage that makes it has not run, or it exists.
+    """
+    folder = Path(output) if output else dataset.root.absolute().with_name(f"{dataset.root.absolute().name}-{to}")
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise UserError(folder, "exists already", "give another folder by --out, or remove it")
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix=f".{folder.name}-", dir=folder.parent) as name:
+        made = Path(name) / "made"
+        made.mkdir()
+        _writer(to)(dataset, made)
+        if folder.is_dir():
+            folder.rmdir()
+        os.replace(made, folder)
+    return folder
+
+
+def _writer(to: str) -> Callable[[Dataset, Path], None]:
+    special = {"nerfstudio": _nerfstudio, "colmap": _colmap, "splat": _splat}
+    return special.get(to) or (lambda dataset, folder: _asset(dataset, folder, to))
+
+
+def _stage(dataset: Dataset, name: str) -> Path:
+    """The folder of a stage's version in use."""
+    version = dataset.current(name)
+    if version is None:
+        raise UserError(dataset.root, f"has no results of the {name} stage", f"`polarfield {name}` makes them")
+    return version.folder
+
+
+def _asset(dataset: Dataset, folder: Path, to: str) -> None:
+    from pipeline.asset.asset import FORMATS
+
+    source = _stage(dataset, "mesh") / files.ASSET
+    if not source.is_dir():
+        raise UserError(dataset.root, "its mesh has no textures", "`polarfield mesh --textures true` makes them")
+    for name in (*FORMATS[to], "asset.json"):
+        if (source / name).is_dir():
+            shutil.copytree(source / name, folder / name)
+        else:
+            shutil.copyfile(source / name, folder / name)
+
+
+def _splat(dataset: Dataset, folder: Path) -> None:
+    shutil.copyfile(_stage(dataset, "train") / files.GAUSSIANS, folder / "splat.ply")
+
+
+def _nerfstudio(dataset: Dataset, folder: Path) -> None:
+    """transforms.json with 8-bit pictures and masks, as `ns-train` takes them."""
+    poses = _stage(dataset, "poses")
+    table = read_json(poses / files.CAMERAS, "run the poses stage again")
+    shown = _pictures(dataset, folder / "images")
+    masks = dataset.current("masks")
+    frames = []
+    for frame in table["frames"]:
+        view = frame["view"]
+        if view not in shown:
+            continue
+        entry: dict[str, Any] = {**frame, "file_path": f"images/{view}.png"}
+        if masks is not None and files.mask(masks.folder, view).exists():
+            (folder / "masks").mkdir(exist_ok=True)
+            shutil.copyfile(files.mask(masks.folder, view), folder / "masks" / f"{view}.png")
+            entry["mask_path"] = f"masks/{view}.png"
+        frames.append(entry)
+    (folder / "transforms.json").write_text(json.dumps({**table, "frames": frames}, indent=1) + "\n")
+
+
+def _colmap(dataset: Dataset, folder: Path) -> None:
+    """sparse/0 (text) with 8-bit pictures in images/."""
+    poses = _stage(dataset, "poses")
+    shown = _pictures(dataset, folder / "images")
+    model = folder / "sparse" / "0"
+    model.mkdir(parents=True)
+    for name in ("cameras.txt", "points3D.txt"):
+        shutil.copyfile(poses / "sparse" / name, model / name)
+    lines = (poses / "sparse" / "images.txt").read_text(encoding="utf-8").splitlines()
+    (model / "images.txt").write_text("\n".join(_renamed(line, shown) for line in lines) + "\n", encoding="utf-8")
+
+
+def _renamed(line: str, shown: Mapping[str, str]) -> str:
+    """A line of images.txt with the picture that is written here in place of the frame."""
+    words = line.split(" ", 9)
+    if line.startswith("#") or len(words) < 10:
+        return line
+    view = words[9].rsplit(".", 1)[0]
+    return " ".join([*words[:9], shown.get(view, words[9])])
+
+
+def _pictures(dataset: Dataset, folder: Path) -> dict[str, str]:
+    """8-bit sRGB pictures of all frames, of one exposure; their names by VIEW. Raises UserError where there are none."""
+    upstream = {name: _stage(dataset, name) for name in ("decode", "poses")}
+    source = frames_folder(upstream)
+    views = [v for v in sorted(load_cameras(upstream["poses"] / files.CAMERAS)) if files.frame(source, v).exists()]
+    if not views:
+        raise UserError(dataset.root, "holds no frames of its cameras", "a light stage has none to export: take its maps")
+    white = max(float(np.quantile(_radiance(files.frame(source, v)), WHITE)) for v in views)
+    for view in views:
+        write_png(folder / f"{view}.png", srgb_encode(_radiance(files.frame(source, view)) / max(white, 1e-30)))
+    return {view: f"{view}.png" for view in views}
+
+
+def _radiance(path: Path) -> NDArray[np.float32]:
+    return read_image(path, [f"S0.{c}" for c in RGB] if "S0.R" in channel_names(path) else RGB)

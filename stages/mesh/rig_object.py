@@ -1,0 +1,109 @@
+"""A light stage's mesh: surface from masks and normals of all cameras, their maps fused on its vertices."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.engine.stage import StageRun
+from pipeline.errors import UserError
+from pipeline.formats import dataset_files as files
+from pipeline.formats.images import srgb_encode
+from pipeline.formats.ply import write_ply
+from pipeline.geometry.rays import RayMesh
+from pipeline.rig.object_rendering import LOBE
+
+from .clean import Mesh, in_fixed_order, largest_pieces, without_slivers
+from .refine import following_normals
+from .rig_surface.depths import find_depths
+from .rig_surface.disagreement import disagreement, write_disagreement
+from .rig_surface.light_reach import occlusion
+from .rig_surface.map_view import MapView
+from .rig_surface.read_maps import Rig
+from .rig_surface.surface import believed, chords, extracted, fused_volume, hull_of, silhouettes_of
+from .rig_surface.vertex_maps import camera_values, filled, fused_maps
+
+HULL = 128  # voxels along the longest side of the hull: it bounds the search, the surface is finer
+SLACK = 1.5  # pixel footprints by which depths of one surface differ between cameras
+SEEN_WITHIN = 3.0  # voxels: what a camera sees beyond that is another surface
+TRUNCATION = 3.0  # voxels: depths agree to a fraction of one, and what is farther behind a surface is another part
+
+
+def make_rig_mesh(run: StageRun) -> None:
+    """Find the surface, fuse the maps on it, write mesh.ply and how far the cameras disagree. Raises UserError."""
+    rig = Rig(run)
+    mesh, voxel = find_surface(run, rig)
+    if run.parameters.follow_normals:
+        mesh = following_normals(with_maps(mesh, rig, voxel), run.parameters.follow_normals)
+    mesh = with_maps(in_fixed_order(Mesh(mesh.vertices, mesh.faces)), rig, voxel)
+    mesh.attributes["occlusion"] = occlusion(mesh, mesh.normals())
+    comments = [LOBE + rig.lobe]
+    write_ply(run.output / files.MESH, vertex_table(mesh), mesh.faces, comments=comments)
+    solid = RayMesh(mesh.vertices, mesh.faces)
+    for maps in rig:
+        images = disagreement(maps, mesh, solid)
+        write_disagreement(run.output / files.DISAGREEMENT / f"{maps.name}.exr", images, maps)
+        for name, image in images.items():
+            if (image > 0).any():
+                run.note(f"{maps.name}.disagreement_{name}", round(float(np.median(image[image > 0])), 4))
+    run.note("lobe", rig.lobe)
+    run.note("voxel", voxel)
+    run.note("size", float(np.ptp(mesh.vertices, axis=0).max()))
+    run.note("triangles", len(mesh.faces))
+    run.note("vertices_seen", round(float((mesh.attributes["coverage"] > 0).mean()), 4))
+
+
+def find_surface(run: StageRun, rig: Rig) -> tuple[Mesh, float]:
+    """The closed surface before its fine relief, and its voxel's edge (world units). Raises UserError."""
+    p = run.parameters
+    views = rig.views(p.max_voxels)
+    if empty := [v.name for v in views if not v.known.any()]:
+        raise UserError(run.inputs["olat"], f"no pixel of {', '.join(empty)} has a normal", "look at its preview.png")
+    hull = hull_of(silhouettes_of(views), HULL)
+    low, high = hull.box()
+    foot = footprint(views, 0.5 * (low + high))
+    voxel = max(p.voxel_px * foot, float((high - low).max()) / p.max_voxels)
+    spans = [chords(view, hull) for view in views]
+    run.progress.say("mesh: looking for the surface on which the cameras' normals agree")
+    distances = believed(views, find_depths(views, spans), spans, SLACK * foot)
+    field, corner = fused_volume(views, distances, hull, voxel, TRUNCATION * voxel, p.grazing)
+    mesh = largest_pieces(without_slivers(extracted(field, corner, voxel)), p.component_pct / 100)
+    if not len(mesh.faces):
+        raise UserError(run.inputs["olat"], "the cameras' maps have no surface in common", "check the masks and the cameras")
+    return in_fixed_order(mesh), voxel
+
+
+def footprint(views: Sequence[MapView], centre: NDArray) -> float:
+    """A pixel's usual width at the object (world units)."""
+    return float(np.median([np.linalg.norm(v.camera.centre - centre) / np.sqrt(v.camera.fx * v.camera.fy) for v in views]))
+
+
+def with_maps(mesh: Mesh, rig: Rig, voxel: float) -> Mesh:
+    """The mesh with all cameras' maps fused on its vertices."""
+    solid = RayMesh(mesh.vertices, mesh.faces)
+    geometric = mesh.normals()
+    found = fused_maps((camera_values(maps, mesh, solid, SEEN_WITHIN * voxel) for maps in rig), geometric)
+    return Mesh(mesh.vertices, mesh.faces, filled(mesh, found, geometric))
+
+
+def vertex_table(mesh: Mesh) -> dict[str, NDArray]:
+    """Vertex properties by name [V]: position, normal, material, its standard deviations, and display colour in bytes."""
+    a = mesh.attributes
+    large, small = a["sigma"].T
+    total = np.maximum(large + small, 1e-9)
+    columns = {
+        **dict(zip("xyz", mesh.vertices.T)), **dict(zip(("nx", "ny", "nz"), a["normal"].T)),
+        **dict(zip(("albedo_r", "albedo_g", "albedo_b"), a["albedo"].T)), "roughness": (large * small) ** 0.25,
+        "specular": a["specular"], "sigma_x": large, "sigma_y": small, "anisotropy": (large - small) / total,
+        **dict(zip(("tangent_x", "tangent_y", "tangent_z"), a["tangent"].T)), "occlusion": a["occlusion"],
+        "coverage": a["coverage"],
+        **{name: a[name] for name in STANDARD_DEVIATIONS},
+    }  # fmt: skip
+    colour = (srgb_encode(a["albedo"]) * 255 + 0.5).astype(np.uint8)
+    numbers = {name: np.asarray(values, np.float32) for name, values in columns.items()}
+    return {**numbers, **dict(zip(("red", "green", "blue"), colour.T))}
+
+
+STANDARD_DEVIATIONS = ("std_diffuse_normal", "std_diffuse_albedo", "std_specular_albedo", "std_sigma")

@@ -1,0 +1,181 @@
+"""A light stage's surface: cameras on one side of an object agree on where it is; their maps are fused by what they know."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from pipeline.engine.progress import Progress
+from pipeline.engine.stage import StageRun
+from pipeline.errors import UserError
+from pipeline.formats.images import write_exr, write_png
+from pipeline.formats.ply import Ply
+from pipeline.geometry.cameras import Camera, camera_from_opengl, frame_of
+from pipeline.rig.object_rendering import RigObject
+from stages.mesh.parameters import MeshParameters
+from stages.mesh.rig_object import make_rig_mesh
+from stages.mesh.rig_surface.depths import find_depths
+from stages.mesh.rig_surface.map_view import MapView
+from stages.mesh.rig_surface.surface import chords, hull_of, inscribed_radii, silhouettes_of
+from stages.mesh.rig_surface.vertex_maps import CameraValues, fused_maps
+from synth.orbit import look_at
+
+ALBEDO, SPECULAR, SIGMA = (0.6, 0.3, 0.1), 0.4, 0.2
+TURNS = np.radians([-60, -25, 10, 45])  # all on one side, as the cameras of a dome are
+
+
+@dataclass(frozen=True)
+class Ball:
+    """A camera's exact distances [H, W], normals [H, W, 3] and coverage [H, W] of a ball about the origin."""
+
+    camera: Camera
+    distance: np.ndarray
+    normal: np.ndarray
+    mask: np.ndarray
+
+
+def ball_views(radius: float, size: int = 40) -> list[Ball]:
+    """The ball in every camera; coverage from 4 x 4 rays a pixel."""
+    out = []
+    for k, turn in enumerate(TURNS):
+        centre = 6 * radius * np.array([np.sin(turn), 0.1 * (-1) ** k, np.cos(turn)])
+        focal = 0.42 * size * 6
+        camera = Camera(size, size, focal, focal, size / 2, size / 2, camera_from_opengl(look_at(centre)))
+
+        def hits(c: Camera) -> tuple[np.ndarray, np.ndarray]:
+            along = c.rays() @ c.centre
+            inside = along**2 - (c.centre @ c.centre - radius**2)
+            return inside > 0, -along - np.sqrt(np.maximum(inside, 0))
+
+        hit, reach = hits(camera)
+        fine, _ = hits(camera.resized(4 * size, 4 * size))
+        distance = np.where(hit, reach, 0.0)
+        normal = np.where(hit[..., None], (camera.centre + camera.rays() * reach[..., None]) / radius, 0.0)
+        out.append(Ball(camera, distance, normal, fine.reshape(size, 4, size, 4).mean((1, 3))))
+    return out
+
+
+@pytest.mark.parametrize("radius", [1e-3, 1e4])
+def test_depths_come_out_of_normals_that_agree(radius):
+    """The silhouettes' hull is off by percents; where four normal maps agree is known to a fraction of a pixel (6 % of r)."""
+    balls = ball_views(radius)
+    views = [MapView(f"cam{k:02d}", b.camera, b.mask, b.normal, 0.5 * (b.normal != 0)) for k, b in enumerate(balls)]
+    hull = hull_of(silhouettes_of(views), 64)
+    spans = [chords(view, hull) for view in views]
+    found = find_depths(views, spans)
+    errors, starts = [], []
+    for ball, distance, (near, _) in zip(balls, found, spans):
+        both = (ball.distance > 0) & (distance > 0) & (near > 0) & (ball.mask > 0.99)
+        errors.append(np.abs(distance - ball.distance)[both] / radius)
+        starts.append(np.abs(near - ball.distance)[both] / radius)
+    error, start = np.concatenate(errors), np.concatenate(starts)
+    assert np.median(error) < 0.015 and np.quantile(error, 0.9) < 0.06  # 0.010, 0.04
+    assert np.median(start) > 2 * np.median(error)
+
+
+def test_the_largest_disc_about_a_pixel():
+    mask = np.zeros((40, 60))
+    mask[5:35, 5:15] = 1  # a bar ten wide
+    mask[10:30, 15:50] = 1  # and one twenty wide
+    radii = inscribed_radii(mask)
+    assert radii[0, 0] == 0 and 4 <= radii[7, 10] <= 6 and 9 <= radii[20, 40] <= 11
+
+
+def camera_says(values: list[float], variance: float, seen: bool = True) -> CameraValues:
+    """One vertex, one camera: values of normal, albedo, specular albedo, widths and tangent."""
+    row = np.array([[*values]], np.float32)
+    return CameraValues(row, np.full((1, 4), variance, np.float32), np.full((1, 2), float(seen), np.float32))
+
+
+def test_maps_are_fused_by_inverse_variance_and_an_outlier_is_dropped():
+    def say(level: float) -> list[float]:
+        return [0, 0, 1, level, level, level, level, 0.2, 0.2, 0, 0, 0]
+
+    two = fused_maps([camera_says(say(0.4), 1e-4), camera_says(say(0.6), 3e-4)], np.array([[0.0, 0, 1]]))
+    assert two["albedo"][0, 0] == pytest.approx(0.45, abs=1e-3)
+    many = fused_maps([camera_says(say(v), 1e-4) for v in (0.50, 0.501, 0.499, 0.5, 0.9)], np.array([[0.0, 0, 1]]))
+    assert many["albedo"][0, 0] == pytest.approx(0.5, abs=0.03) and many["coverage"][0] == 5
+    hidden = fused_maps([camera_says(say(0.4), 1e-4), camera_says(say(0.6), 1e-4, False)], np.array([[0.0, 0, 1]]))
+    assert hidden["albedo"][0, 0] == pytest.approx(0.4, abs=1e-6) and hidden["coverage"][0] == 1
+
+
+def test_the_fused_standard_deviation_is_that_of_the_mean():
+    rng = np.random.default_rng(0)
+    count, noise = 4000, 0.01
+    cameras = []
+    for _ in range(4):
+        values = np.zeros((count, 12), np.float32)
+        values[:, 2], values[:, 7:9] = 1, SIGMA
+        values[:, 3:6] = 0.5 + noise * rng.normal(size=(count, 3))
+        values[:, 6] = 0.4
+        cameras.append(CameraValues(values, np.full((count, 4), noise**2, np.float32), np.ones((count, 2), np.float32)))
+    fused = fused_maps(cameras, np.tile([0.0, 0, 1], (count, 1)))
+    true = np.sqrt(np.mean((fused["albedo"] - 0.5) ** 2))
+    assert true / 1.5 < np.median(fused["std_diffuse_albedo"]) < 1.5 * true
+    spread = np.median(fused["disagreement_albedo"]) * 0.5
+    assert noise / 1.5 < spread < 1.5 * noise
+
+
+def written_stage(root, balls: list[Ball]) -> StageRun:
+    """The decode and olat stages' folders of a light stage that shows the ball, and a run of the mesh stage over them."""
+    cameras = {}
+    for k, ball in enumerate(balls):
+        name = f"cam{k:02d}"
+        there = (ball.mask > 0.99) & (ball.distance > 0)
+        size = ball.camera.width
+        cameras[name] = {"camera": frame_of(ball.camera), "mask": None, "width": size, "height": size}
+        constant = {"diffuse_albedo": ALBEDO, "specular_albedo": (SPECULAR,), "sigma": (SIGMA, SIGMA), "tangent": (0, 0, 0),
+                    "std_diffuse_normal": (0.1,), "std_diffuse_albedo": (0.01,), "std_specular_albedo": (0.01,),
+                    "std_sigma": (0.01,)}  # fmt: skip
+        images = {key: there[..., None] * np.array(value, float) for key, value in constant.items()}
+        images["normal"] = ball.normal * there[..., None]
+        letters = {1: "Y", 2: "XY", 3: "XYZ"}
+        for key, image in images.items():
+            channels = "RGB" if key == "diffuse_albedo" else letters[image.shape[-1]]
+            planes = {c: image[..., j].astype(np.float32) for j, c in enumerate(channels)}
+            write_exr(root / "olat" / name / f"{key}.exr", planes)
+        write_png(root / "masks" / f"{name}.png", ball.mask.astype(np.float32))
+        zero = np.zeros(there.shape, np.float32)
+        write_exr(root / "olat" / name / "residual.exr", {"Y": zero, "flag": zero})
+    (root / "decode").mkdir()
+    (root / "decode" / "olat.json").write_text(json.dumps({"cameras": cameras}))
+    (root / "olat" / "maps.json").write_text(json.dumps({"lobe": "beckmann"}))
+    inputs = {name: root / name for name in ("decode", "masks", "olat")}
+    capture = SimpleNamespace(root=root, kind="light_stage")
+    output = root / "mesh"
+    output.mkdir()
+    return StageRun(capture, MeshParameters(), inputs, output, root, progress=Progress(quiet=True))
+
+
+@pytest.mark.slow
+def test_a_light_stage_becomes_one_mesh_with_its_maps(tmp_path):
+    radius = 12.0
+    run = written_stage(tmp_path, ball_views(radius, 48))
+    make_rig_mesh(run)
+    ply = Ply(run.output / "mesh.ply")
+    seen = ply.vertices(("coverage",))[:, 0] >= 2
+    pixel = radius / (0.42 * 48)
+    away = np.abs(np.linalg.norm(ply.vertices(), axis=1) - radius)[seen] / pixel
+    assert np.median(away) < 0.25 and np.quantile(away, 0.9) < 0.75
+    normals = ply.vertices(("nx", "ny", "nz"))[seen]
+    outward = ply.vertices()[seen] / np.linalg.norm(ply.vertices()[seen], axis=1, keepdims=True)
+    assert np.degrees(np.median(np.arccos(np.clip((normals * outward).sum(1), -1, 1)))) < 1
+    material = ply.vertices(("albedo_r", "albedo_g", "albedo_b", "specular", "sigma_x", "sigma_y"))
+    assert np.allclose(np.median(material, 0), [*ALBEDO, SPECULAR, SIGMA, SIGMA], rtol=0.02)
+    assert np.ptp(ply.vertices(), axis=0).max() < 2.4 * radius  # its back is a guess, but no spike of the hull's
+    occlusion = ply.vertices(("occlusion",))[seen, 0]
+    assert occlusion.min() > 0.9  # nothing shades a ball
+    assert run.facts["cam00.disagreement_normal_deg"] < 1
+    camera = ball_views(radius, 48)[1].camera
+    image = RigObject(run.output / "mesh.ply").render(camera, np.array([[0.0, 0, 1]]), np.ones((1, 3)))
+    assert 0.1 < image[24, 24, 0] < 1 and not image[0, 0].any()
+
+
+def test_two_cameras_are_no_surface(tmp_path):
+    run = written_stage(tmp_path, ball_views(1.0, 16)[:2])
+    with pytest.raises(UserError, match="only 2 cameras see the object"):
+        make_rig_mesh(run)
