@@ -32,7 +32,8 @@ def context(**changes):
         "environment": [], "relit": [], "olat": [], "lobe": {}, "curves": [],
         "costs": cost_rows({"train": {"wall_s": 71.0, "peak_rss_mb": 1200, "outputs": []}}),
         "tables": [], "warnings": [("decode", "<script>alert(1)</script>")], "parameters": {}, "packages": {},
-        "scene": None, "scene_text": "null", "script": viewer_page.script(), "viewer_style": viewer_page.style(),
+        "disagreement": [], "scene": None, "scene_text": "null",
+        "script": viewer_page.script(), "viewer_style": viewer_page.style(),
     }  # fmt: skip
     return {**base, **changes}
 

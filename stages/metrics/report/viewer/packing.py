@@ -46,7 +46,7 @@ def unfolded(pair: NDArray[np.int16]) -> NDArray[np.float64]:
     sign_x, sign_z = np.where(x < 0, -1.0, 1.0), np.where(z < 0, -1.0, 1.0)
     lower = np.where(y < 0, (1 - np.abs(z)) * sign_x, x), np.where(y < 0, (1 - np.abs(x)) * sign_z, z)
     d = np.stack([lower[0], y, lower[1]], -1)
-    return d / np.linalg.norm(d, axis=-1, keepdims=True)
+    return np.asarray(d / np.linalg.norm(d, axis=-1, keepdims=True), np.float64)
 
 
 def rgbe(radiance: NDArray) -> NDArray[np.uint8]:
