@@ -52,7 +52,7 @@ def run(stage: StageRun) -> None:
 
 STAGE = Stage(
     name="train",
-    version=6,
+    version=7,
     parameters=TrainParameters,
     needs=("decode", "poses", "masks"),
     needed=needed,
