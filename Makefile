@@ -21,7 +21,7 @@ export CAPTURE DATASET PARAMS ENVS DEVICE JOBS CAPTURES MEMORY DEMO
 SETTINGS = --dataset="$$DATASET" --params="$$PARAMS" --envs="$$ENVS" --device="$$DEVICE" --jobs="$$JOBS" --memory="$$MEMORY"
 OPTIONS = $(if $(CAPTURE),"$$CAPTURE") $(SETTINGS)
 
-.PHONY: all plan inspect report tradeoff batch verify gc $(STAGES) setup demo test test-fast crash-test lint bench bench-train bench-olat bench-rasterize stability clean help
+.PHONY: all plan inspect report tradeoff batch verify gc $(STAGES) setup demo test test-fast crash-test lint bench bench-train bench-olat bench-rasterize bench-light bench-ablation stability clean help
 .DEFAULT_GOAL := help
 
 all plan inspect report tradeoff $(STAGES): $(READY)
@@ -71,7 +71,7 @@ lint: $(READY)  ## ruff (rules and format) and mypy
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-bench: bench-rasterize bench-olat bench-train  ## all benchmarks; CAPTURES=folder of captures with ground truth
+bench: bench-rasterize bench-olat bench-train bench-light bench-ablation  ## all benchmarks; CAPTURES=folder of captures with ground truth
 
 # What the benchmarks alone need: plots and the solvers to compare with.
 $(VENV)/.bench: $(READY)
@@ -81,7 +81,7 @@ $(VENV)/.bench: $(READY)
 stability: $(READY)  ## stiff and extreme cases, every verdict in docs/stability.md
 	$(BIN)/python -m benchmarks.stability
 
-bench-train bench-olat bench-rasterize: $(VENV)/.bench
+bench-train bench-olat bench-rasterize bench-light bench-ablation: $(VENV)/.bench
 	$(BIN)/python -m benchmarks.$(subst -,_,$@) $(if $(CAPTURES),--captures "$$CAPTURES")
 
 clean:  ## caches and the demo; never a dataset

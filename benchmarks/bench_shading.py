@@ -1,18 +1,14 @@
-"""Lighting: run time beside error.
+"""Shading: run time, and errors of the prefiltered levels against quadrature under a made sky.
 
-    python benchmarks/bench_shading.py                      speed, and errors against quadrature under a made sky
-    python benchmarks/bench_shading.py CAPTURE ...          and against the images of captures with ground truth
-    POLARFIELD_CAPTURES=FOLDER python benchmarks/bench_shading.py     every such capture in a folder
+    python -m benchmarks.bench_shading [--json FILE]
 
-On a capture, shading gets the true normals, IoR, roughness and environment, and the albedo that makes s0 right at
-every pixel unless `gt/material.json` has one. What is then left is the error of the shading itself.
+Against the images of captures with ground truth, and with indirect light: `bench_light`.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import os
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -22,23 +18,9 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from pipeline.capture import open_capture
-from pipeline.formats.images import read_image, read_mask
-from pipeline.geometry.occluder import Occluder
-from pipeline.optics import microfacet, sphere, stokes
-from pipeline.shading import LightField, Occlusion, Prefilter, latlong, shade, shading
+from pipeline.optics import microfacet, sphere
+from pipeline.shading import Prefilter, latlong, shade, shading
 from pipeline.shading.cube import cube_directions
-from pipeline.shading.gridmap import GridMap
-from pipeline.shading.transfer import Transfer
-
-CASES = (
-    ("ggx", "schlick", "split"), ("ggx", "exact", "split"), ("ggx", "exact", "lobe-24"),
-    ("beckmann", "exact", "split"), ("beckmann", "exact", "lobe-4"), ("beckmann", "exact", "lobe-24"),
-)  # fmt: skip
-
-
-# The paper's GridMap is measured once, beside this case.
-GRIDMAP_CASE = {"fresnel": "exact", "mirror": "split"}
 
 
 def median_ms(call: Callable[[], object], repeats: int = 30) -> float:
@@ -128,103 +110,6 @@ def _percent(got: np.ndarray, truth: np.ndarray) -> dict:
     return {"median_pct": float(np.median(e)), "p95_pct": float(np.percentile(e, 95))}
 
 
-def image_errors(got: np.ndarray, truth: np.ndarray) -> dict:
-    """Errors of Stokes pixels [P, 3, 3]: s0 (%), DoLP, AoLP where the true DoLP passes 0.05 (degrees)."""
-    a, b = got.mean(-1), truth.mean(-1)
-    e = 100 * np.abs(a[:, 0] - b[:, 0]) / b[:, 0]
-    turn = np.degrees(stokes.angle_difference(stokes.angle(a), stokes.angle(b)))[stokes.degree(b) > 0.05]
-    dolp = stokes.degree(a) - stokes.degree(b)
-    return {
-        "s0_median_pct": float(np.median(e)), "s0_mean_pct": float(e.mean()),
-        "dolp_mean": float(np.abs(dolp).mean()), "dolp_bias": float(dolp.mean()),
-        "aolp_mean_deg": float(turn.mean()), "aolp_median_deg": float(np.median(turn)),
-    }  # fmt: skip
-
-
-def _pixels(folder: Path, step: int) -> list[dict[str, np.ndarray]]:
-    """Foreground pixels of every `step`-th view, away from silhouettes, with the truth about them."""
-    from scipy.ndimage import binary_erosion
-
-    capture = open_capture(folder)
-    out = []
-    for source in capture.views[::step]:
-        camera, image = capture.cameras[source.view], source.read().stokes
-        normal = read_image(folder / f"gt/normal/{source.view}.exr", ("X", "Y", "Z")).astype(np.float64)
-        depth = read_image(folder / f"gt/depth/{source.view}.exr", ("Z",))[..., 0]
-        length = np.linalg.norm(normal, axis=-1)
-        mask = read_mask(capture.masks[source.view]) & (length > 0.5) & (image[:, :, 0].mean(-1) > 1e-3)
-        mask = binary_erosion(mask)
-        rays, (x, y) = camera.rays(), camera.stokes_frame()
-        forward = np.asarray(camera.world_to_camera)[2, :3]
-        points = camera.centre + rays * (depth / (rays @ forward))[..., None]
-        out.append({"normal": (normal / np.maximum(length, 0.5)[..., None])[mask], "view": -rays[mask], "x": x[mask],
-                    "y": y[mask], "truth": image[mask], "points": points[mask]})  # fmt: skip
-    return out
-
-
-def capture_errors(folder: Path, step: int = 4, resolution: int = 64) -> dict:
-    """Shading with everything known against a capture's images."""
-    material = json.loads((folder / "gt/material.json").read_text())
-    texels = tensor(latlong.to_cube(read_image(folder / "gt/env.hdr", ("R", "G", "B")), resolution))
-    views = _pixels(folder, step)
-    known = material["diffuse"].get("value")
-    mesh = _mesh(folder / "gt/mesh.ply")
-    truth = np.concatenate([v["truth"] for v in views])
-    out = {}
-    for lobe, fresnel, mirror in CASES:
-        light = Prefilter(resolution, lobe).apply(texels)
-        how = {"fresnel": fresnel, "mirror": mirror}
-        for name, occluded in _occluders(
-            mesh, texels, light, known or [0.5] * 3, lobe, material["ior"], grid=lobe == "beckmann" and how == GRIDMAP_CASE
-        ).items():
-            start, got = time.perf_counter(), []
-            for v in views:
-                count = len(v["normal"])
-                roughness = np.full(count, np.sqrt(material["alpha"]))
-                shared = [tensor(v[k]) for k in ("normal", "view")]
-                rest = [tensor(roughness), torch.full((count,), material["ior"]), tensor(v["x"]), tensor(v["y"]), light]
-                occlusion = occluded(v, roughness)
-                albedo = tensor(np.broadcast_to(known if known else 1.0, (count, 3)))
-                if not known:  # s0 = albedo x body + mirror
-                    unit = shade(*shared, albedo, *rest, **how, occlusion=occlusion)
-                    body = (tensor(v["truth"])[:, 0] - unit.specular) / unit.diffuse.clamp_min(1e-6)
-                    albedo = body.clamp(0, 1)
-                got.append(shade(*shared, albedo, *rest, **how, occlusion=occlusion).stokes.numpy())
-            seconds = (time.perf_counter() - start) / len(views)
-            errors = image_errors(np.concatenate(got), truth)
-            out[f"{lobe} {fresnel} {mirror} {name}"] = {**errors, "ms_per_view": 1e3 * seconds}
-    return out
-
-
-def _mesh(path: Path) -> Occluder:
-    import open3d
-
-    mesh = open3d.io.read_triangle_mesh(str(path))
-    return Occluder(np.asarray(mesh.vertices), np.asarray(mesh.triangles))
-
-
-def _occluders(
-    mesh: Occluder, texels: torch.Tensor, light: LightField, albedo: list[float], lobe: str, ior: float, grid: bool
-) -> dict[str, Callable[[dict, np.ndarray], Occlusion | None]]:
-    colour = np.broadcast_to(albedo, mesh.vertices.shape)
-    transfer = Transfer(mesh, colour, ior=ior)
-    surface = transfer.light(texels)
-    out: dict[str, Callable[[dict, np.ndarray], Occlusion | None]] = {
-        "unoccluded": lambda v, r: None,
-        "transfer": lambda v, r: transfer.occlusion(
-            transfer.attach(v["points"], v["normal"], v["view"], r, lobe=lobe), surface
-        ),
-    }
-    if grid:
-        for weights in ("inverse-square", "printed"):
-            anchors = GridMap(mesh, colour, weights=weights, lobe=lobe)
-            local = anchors.light(texels, light)
-            out[f"GridMap {weights}"] = lambda v, r, g=anchors, l=local: g.occlusion(
-                tensor(v["points"]), tensor(v["normal"]), tensor(v["view"]), tensor(r), l
-            )
-    return out
-
-
 def show(title: str, rows: dict) -> None:
     """Print a table of figures."""
     print(f"\n{title}")
@@ -235,16 +120,9 @@ def show(title: str, rows: dict) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("captures", nargs="*", type=Path, help="captures with gt/ and Stokes images")
     parser.add_argument("--json", type=Path, help="write the figures here")
     arguments = parser.parse_args()
-    captures = list(arguments.captures)
-    if not captures and "POLARFIELD_CAPTURES" in os.environ:
-        found = sorted(Path(os.environ["POLARFIELD_CAPTURES"]).glob("*/gt/material.json"))
-        captures = [p.parents[1] for p in found if open_capture(p.parents[1]).polarisation == "stokes"]
     result = {"speed": speed(), "prefilter against quadrature": prefilter_errors()}
-    for folder in captures:
-        result[folder.name] = capture_errors(folder)
     for title, rows in result.items():
         show(title, rows)
     if arguments.json:

@@ -40,7 +40,7 @@ ABLATIONS: dict[str, dict[str, Any]] = {
     "22000 splats": {"max_splats": 22000, "splat_pixels": 1.15},
     "Schlick": {"fresnel": "schlick"},
     "GGX lobe": {"lobe": "ggx"},
-    "no occlusion": {"occlusion": False},
+    "no indirect light": {"indirect": "none"},
     "environment 16": {"environment_resolution": 16},
     "environment 64": {"environment_resolution": 64},
 }

@@ -1,7 +1,8 @@
-"""The object of the synthetic captures: a bent, fluted vase with a waist and a bowl in its crown, built from formulas."""
+"""The objects of the synthetic captures, from formulas: a bent, fluted vase with a waist and a bowl in its crown; a bowl."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,6 +13,11 @@ PROFILE = np.array([
     (0.00, -1.00), (0.22, -1.00), (0.40, -0.97), (0.52, -0.86), (0.62, -0.66), (0.66, -0.42), (0.60, -0.14),
     (0.46, 0.12), (0.37, 0.34), (0.40, 0.56), (0.53, 0.78), (0.60, 0.92), (0.56, 0.99), (0.46, 0.96),
     (0.33, 0.80), (0.18, 0.68), (0.00, 0.65),
+])  # fmt: skip
+# The same of a bowl as deep as it is wide: what it sends to itself is most of its light when it is white.
+BOWL = np.array([
+    (0.00, -0.80), (0.35, -0.76), (0.68, -0.55), (0.90, -0.15), (0.98, 0.30), (1.00, 0.62), (0.96, 0.68), (0.90, 0.62),
+    (0.88, 0.30), (0.80, -0.10), (0.60, -0.45), (0.30, -0.64), (0.00, -0.68),
 ])  # fmt: skip
 FLUTES = 5
 FLUTE_DEPTH = 0.11  # of the radius
@@ -37,9 +43,19 @@ class Shape:
 
 def vase(around: int = 160, along: int = 120) -> Shape:
     """Fluted vase of height 2 about the origin, y up, as `around` x `along` quads; u runs around, v from foot to bowl."""
+    return _turned(around, along, _surface)
+
+
+def bowl(around: int = 96, along: int = 96) -> Shape:
+    """Round bowl of radius 1 about the y axis, open towards +y, as `vase`."""
+    return _turned(around, along, _bowl_surface)
+
+
+def _turned(around: int, along: int, surface: Callable[[NDArray, NDArray], NDArray]) -> Shape:
+    """Shape of a surface over (u around, v along) whose ends v = 0 and 1 are poles."""
     u = np.arange(around + 1) / around
     v = np.linspace(0.0, 1.0, along + 1)
-    vertices = _surface(u[None, :], v[:, None])  # [along + 1, around + 1, 3], first = last column, poles repeated
+    vertices = surface(u[None, :], v[:, None])  # [along + 1, around + 1, 3], first = last column, poles repeated
     vertices[:, -1] = vertices[:, 0]
     vertices[0], vertices[-1] = vertices[0, 0], vertices[-1, 0]
 
@@ -59,16 +75,29 @@ def vase(around: int = 160, along: int = 120) -> Shape:
 
 def _surface(u: NDArray, v: NDArray) -> NDArray[np.float64]:
     """Points [..., 3] of the vase at parameters u (around) and v (along the profile), both in [0, 1]."""
-    from scipy.interpolate import CubicSpline
-
-    steps = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(PROFILE, axis=0), axis=1))]
-    # Level at both poles, so that the surface is smooth there.
-    ends = ((1, np.array([steps[-1], 0.0])), (1, np.array([-steps[-1], 0.0])))
-    radius, height = np.moveaxis(CubicSpline(steps / steps[-1], PROFILE, bc_type=ends)(v), -1, 0)
+    radius, height = _profile(PROFILE, v)
     azimuth = 2 * np.pi * u
     fade = np.clip(np.minimum(v, 1 - v) / 0.22, 0, 1) ** 2  # flutes would pinch at the poles
     radius = radius * (1 + FLUTE_DEPTH * fade * np.cos(FLUTES * (azimuth + TWIST * height)))
     x, y, z = radius * np.cos(azimuth) + BEND * np.sin(2 * height), height, radius * np.sin(-azimuth)
+    return np.stack(np.broadcast_arrays(x, y, z), -1).copy()
+
+
+def _profile(points: NDArray, v: NDArray) -> NDArray[np.float64]:
+    """Radius and height [2, ...] at v in [0, 1] along a smooth curve through points [N, 2] from pole to pole."""
+    from scipy.interpolate import CubicSpline
+
+    steps = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))]
+    # Level at both poles, so that the surface is smooth there.
+    ends = ((1, np.array([steps[-1], 0.0])), (1, np.array([-steps[-1], 0.0])))
+    return np.moveaxis(CubicSpline(steps / steps[-1], points, bc_type=ends)(v), -1, 0)
+
+
+def _bowl_surface(u: NDArray, v: NDArray) -> NDArray[np.float64]:
+    """Points [..., 3] of the bowl, as `_surface`."""
+    radius, height = _profile(BOWL, v)
+    azimuth = 2 * np.pi * u
+    x, y, z = radius * np.cos(azimuth), height, radius * np.sin(-azimuth)
     return np.stack(np.broadcast_arrays(x, y, z), -1).copy()
 
 

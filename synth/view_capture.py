@@ -17,46 +17,52 @@ from pipeline.geometry.cameras import camera_from_opengl
 from . import mitsuba_scene
 from .environments import ENVIRONMENTS
 from .orbit import look_at, orbit
-from .shape import Shape, glaze, vase
+from .shape import Shape, bowl, glaze, vase
 
 ALPHA = 0.15  # Beckmann roughness
 IOR = 1.5
 DISTANCE = 5.0  # of a shape 2 units high
 HALF_FIELD_DEG = 14.5
 BOUNCES = 4
+WHITE, WHITE_BOUNCES = 0.9, 16  # of the bowl: half of what meets its inside leaves it each time
 RELIGHT_EVERY = 4  # every how many-th view has a truth under the other environment
 TRAINED, RELIT = "meadow", "studio"
 
 
-def make(output: Path, size: int = 96, views: int = 16, spp: int = 144, seed: int = 0) -> None:
-    """Write the capture to `output`; `spp` samples a pixel (1.3 s a view for 144 at 96x96 on two cores)."""
+def make(output: Path, size: int = 96, views: int = 16, spp: int = 144, seed: int = 0, white_bowl: bool = False) -> None:
+    """Write the capture to `output`; `spp` samples a pixel (1.3 s a view for 144 at 96x96 on two cores).
+
+    white_bowl: a bowl of albedo WHITE, which lights itself, in place of the vase.
+    """
     import mitsuba as mi
 
     mi.set_variant("scalar_spectral_polarized")
     focal = size / 2 / np.tan(np.radians(HALF_FIELD_DEG))
     poses = [look_at(p) for p in orbit(views, DISTANCE, -8, 62)]
-    shape = vase()
+    shape, bounces = (bowl(), WHITE_BOUNCES) if white_bowl else (vase(), BOUNCES)
     truth = output / "gt"
     write_rgb(truth / "env.hdr", ENVIRONMENTS[TRAINED](128))
     write_rgb(output / "envmaps" / f"{RELIT}.hdr", ENVIRONMENTS[RELIT](128))
     write_mesh(truth / "mesh.ply", shape)
-    material = {"alpha": ALPHA, "ior": IOR, "diffuse": {"type": "texture"}}
+    diffuse = {"type": "rgb", "value": [WHITE] * 3} if white_bowl else {"type": "texture"}
+    material = {"alpha": ALPHA, "ior": IOR, "diffuse": diffuse}
     (truth / "material.json").write_text(json.dumps(material, indent=1) + "\n")
     _write_transforms(output / "transforms.json", poses, size, focal)
 
-    plastic = {"type": "pplastic", "diffuse_reflectance": mitsuba_scene.texture(glaze()), "alpha": ALPHA, "int_ior": IOR}
+    colour = {"type": "rgb", "value": [WHITE] * 3} if white_bowl else mitsuba_scene.texture(glaze())
+    plastic = {"type": "pplastic", "diffuse_reflectance": colour, "alpha": ALPHA, "int_ior": IOR}
     mesh = mitsuba_scene.load_mesh(shape, plastic)
     lit = _scene(mesh, truth / "env.hdr")
     relit = _scene(mesh, output / "envmaps" / f"{RELIT}.hdr")
     for index, pose in enumerate(poses):
         name = f"{index:03d}"
         view = mi.load_dict(mitsuba_scene.sensor(pose, size, size, focal))
-        film = _stokes(lit, view, seed + index, spp)
+        film = _stokes(lit, view, seed + index, spp, bounces)
         write_exr(output / "images" / f"{name}.exr", {k: film[k] for k in STOKES}, half=True)
         write_png(output / "masks" / f"{name}.png", film["A"])
         _write_geometry(truth, name, lit, view, pose, seed + index)
         if index % RELIGHT_EVERY == 0:
-            other = _stokes(relit, view, seed + views + index, spp)
+            other = _stokes(relit, view, seed + views + index, spp, bounces)
             write_exr(truth / "relight" / RELIT / f"{name}.exr", {k: other[k] for k in STOKES}, half=True)
 
 
@@ -67,8 +73,8 @@ def _scene(mesh: Any, environment: Path) -> Any:
     return mi.load_dict({"type": "scene", "object": mesh, "environment": light})
 
 
-def _stokes(lit: Any, view: Any, seed: int, spp: int) -> dict[str, NDArray[np.float32]]:
-    path = {"type": "path", "max_depth": BOUNCES, "hide_emitters": True}
+def _stokes(lit: Any, view: Any, seed: int, spp: int, bounces: int) -> dict[str, NDArray[np.float32]]:
+    path = {"type": "path", "max_depth": bounces, "hide_emitters": True}
     return mitsuba_scene.render(lit, view, {"type": "stokes", "integrator": path}, seed, spp)
 
 

@@ -40,9 +40,11 @@ TITLES = {
 def _number(value: Any) -> str:
     if isinstance(value, str):
         return value
+    if value != value:
+        return ""  # no such figure
     if isinstance(value, int) or (value == int(value) and abs(value) < 1e6):
         return str(int(value))
-    return "not known" if value != value else f"{value:.2g}"
+    return f"{value:.2g}"
 
 
 def _table(rows: Sequence[Row]) -> list[str]:

@@ -63,6 +63,7 @@ def robust_mean(
     weight,  # [T, K] float32, 0: no sample
     floor,  # [C] float32, deviations that mean nothing
     out,  # [T, C] float32; written, 0 where no sample counts
+    error,  # [T, C] float32; written, the mean's standard error by that deviation
 ):
     """Tukey's biweight about the weighted median, at three times its weighted median deviation."""
     texels, most, channels = values.shape
@@ -72,15 +73,18 @@ def robust_mean(
             median = _weighted_median(values[t, :, c], weight[t], order)
             for k in range(most):
                 deviation[k] = abs(values[t, k, c] - median)
-            reach = 3.0 * (1.4826 * _weighted_median(deviation, weight[t], order) + floor[c])
-            total, mean = 0.0, 0.0
+            spread = 1.4826 * _weighted_median(deviation, weight[t], order)
+            reach = 3.0 * (spread + floor[c])
+            total, squares, mean = 0.0, 0.0, 0.0
             for k in range(most):
                 if weight[t, k] > 0.0 and deviation[k] < reach:
                     share = 1.0 - (deviation[k] / reach) ** 2
                     share *= share * weight[t, k]
                     total += share
+                    squares += share * share
                     mean += share * values[t, k, c]
             out[t, c] = mean / total if total > 0.0 else 0.0
+            error[t, c] = spread * np.sqrt(squares) / total if total > 0.0 else 0.0
 
 
 @kernel(nogil=True)

@@ -60,9 +60,16 @@ def _block(
             details[texel, place], share = _sampled(view.detail, usable * view.detail_weight, pixels)
             detail_weights[texel, place] = weight[texel, place] * share
     values, detail = np.zeros((count, channels), np.float32), np.zeros((count, DETAIL), np.float32)
-    robust_mean(samples, weights, np.full(channels, NOISE, np.float32), values)
-    robust_mean(details, detail_weights, np.full(DETAIL, NOISE, np.float32), detail)
-    return values, detail
+    robust_mean(samples, weights, np.full(channels, NOISE, np.float32), values, np.empty_like(values))
+    error = np.empty_like(detail)
+    robust_mean(details, detail_weights, np.full(DETAIL, NOISE, np.float32), detail, error)
+    return values, detail * _certain(detail, error)
+
+
+def _certain(detail: NDArray[np.float32], error: NDArray[np.float32]) -> NDArray[np.float32]:
+    """How much [T, 1] of a detail is more than the views' noise: James and Stein's estimator, its positive part."""
+    noise, whole = ((x**2).sum(1, keepdims=True) for x in (error, detail))
+    return np.asarray(1 - np.minimum(noise / np.maximum(whole, np.finfo(np.float32).tiny), 1), np.float32)
 
 
 def _sampled(image: NDArray, weight: NDArray, pixels: NDArray) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

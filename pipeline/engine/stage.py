@@ -113,7 +113,8 @@ class StageRun:
 def parameters_from(stage: Stage, overrides: Mapping[str, Any], source: str, text: bool = True) -> Any:
     """The stage's parameters with `overrides` applied: as written in a call, or (not `text`) as TOML reads them.
 
-    Raises UserError naming the key.
+    Parameters with a `preset` have `PRESETS`, values by its name of what `overrides` does not give. Raises UserError naming
+    the key.
     """
     types_by_name = typing.get_type_hints(stage.parameters)
     known = [f.name for f in dataclasses.fields(stage.parameters)]
@@ -123,7 +124,8 @@ def parameters_from(stage: Stage, overrides: Mapping[str, Any], source: str, tex
         if name not in known:
             raise UserError(source, f"{stage.name} has no parameter {key!r}", nearest(key, known))
         values[name] = typed(value, types_by_name[name], f"{stage.name}.{key}", source, text)
+    preset = getattr(stage.parameters, "PRESETS", {}).get(values.get("preset"), {})
     try:
-        return stage.parameters(**values)
+        return stage.parameters(**{**preset, **values})
     except ValueError as error:
         raise UserError(source, f"{stage.name}: {error}", "choose another value") from error

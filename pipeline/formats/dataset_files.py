@@ -43,6 +43,11 @@ def gbuffer(train: Path, view: str) -> Path:
     return train / GBUFFERS / f"{view}.exr"
 
 
+def learnt_light(train: Path, view: str) -> Path:
+    """What a view's surface mirrors of the object itself, where training has learnt it (`train.indirect=sh`)."""
+    return train / "indirect" / f"{view}.exr"
+
+
 def held_back_image(train: Path, view: str) -> Path:
     """A held-back view as the model renders it: Stokes, diffuse and specular part, G-buffer."""
     return train / TESTS / f"{view}.exr"

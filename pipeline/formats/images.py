@@ -171,8 +171,7 @@ def write_png(path: str | Path, pixels: np.ndarray, bits: int = 8) -> None:
     kind = f"uint{bits}"
     if pixels.dtype != kind:
         pixels = (np.clip(np.nan_to_num(pixels), 0, 1) * (2**bits - 1) + 0.5).astype(kind)
-    if pixels.ndim == 2:
-        pixels = pixels[..., None]
+    pixels = pixels if pixels.ndim > 2 else pixels[..., None]
     names = {1: ["Y"], 3: ["R", "G", "B"], 4: ["R", "G", "B", "A"]}[pixels.shape[2]]
     write_pixels(Path(path), np.ascontiguousarray(pixels), kind, names, {"oiio:UnassociatedAlpha": 1})
 

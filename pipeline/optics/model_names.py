@@ -18,3 +18,12 @@ MIRRORS: dict[str, tuple[int, int] | None] = {
 }  # fmt: skip
 """Rings x azimuths of the facets over which mirrored light is summed (`pipeline.shading.lobe`); None is the split sum, or a
 tree."""
+Indirect = Literal["traced", "gridmap", "sh", "none"]
+"""How light that an object hides from itself and sends to itself is found: rays at its surface; PhyGaP's local environments
+(`pipeline.shading.gridmap`); spherical harmonics learnt for every Gaussian, as in Ref-Gaussian; or not at all."""
+AnchorWeights = Literal["inverse-square", "printed"]
+"""Of GridMap's anchors: 1/d^2, the authors' program's; d, as Eq. 9 prints it, which favours the farthest anchors."""
+ANCHOR_WEIGHTS: tuple[AnchorWeights, ...] = get_args(AnchorWeights)
+AnchorPlaces = Literal["box", "surface"]
+"""Of GridMap's anchors: the bounding box, or close to the surface (PhyGaP 10.4)."""
+ANCHOR_PLACES: tuple[AnchorPlaces, ...] = get_args(AnchorPlaces)

@@ -1,12 +1,13 @@
-"""PhyGaP's GridMap (4.2, 9.4): local environments at anchors around the object, blended per point.
+"""PhyGaP's GridMap (4.2, 9.4, 10.4): local environments at anchors around the object, blended per point.
 
-`transfer.Transfer` is the better of the two; this is the paper's, with its weights by name (docs/physics.md,
-Shading). Diffuse light is blended in the small prefiltered level first and evaluated once.
+`transfer.Transfer` is the better of the two; this is the paper's, with its weights and its places of anchors by name
+(docs/physics.md, Shading). A small prefiltered level holds all that diffuse light needs of an anchor, so that a point costs a
+blend of four texels an anchor, not 52 full lookups.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -15,41 +16,54 @@ from numpy.typing import NDArray
 
 from pipeline.geometry.occluder import Occluder
 from pipeline.optics.fresnel import hemispherical_transmittance
+from pipeline.optics.model_names import ANCHOR_PLACES, ANCHOR_WEIGHTS
 
-from .cube import cube_directions, lookup
+from . import gridmap_kernels as kernels
+from .anchors import box_anchors, surface_anchors
+from .cube import cube_directions, extend, lookup, padded_indices
 from .prefilter import Level, LightField, Prefilter
 from .prefilter_kernels import REFERENCE_IOR
 from .shading import Occlusion
 
-# "inverse-square": 1/d^2, the released code's. "printed": d, as Eq. 9 has it, which favours the farthest anchors.
-WEIGHTS = ("inverse-square", "printed")
-# Bounding box of the anchors against the object's.
-MARGIN = 1.1
+RESOLUTION = 64
+"""D of an anchor's cube (PhyGaP 9.4)."""
+NEAREST = 4
+"""Neighbours of the kNN albedo: PhyGaP names no number; a surface point has about this many splats or vertices around it."""
+# Weights' floor over the box's squared diagonal: it only meets a point that sits on an anchor.
+FLOOR = 1e-6
 
 
-def anchors(vertices: NDArray, up: int = 1) -> NDArray[np.float64]:
-    """52 points [52, 3]: 4 x 4 on every face of the enlarged bounding box but the 4 inside the bottom face."""
-    low, high = vertices.min(0).astype(np.float64), vertices.max(0).astype(np.float64)
-    centre, half = (low + high) / 2, MARGIN * (high - low) / 2
-    grid = np.stack(np.meshgrid(*[np.arange(4)] * 3, indexing="ij"), -1).reshape(-1, 3)
-    border = (grid == 0) | (grid == 3)
-    bottom = (grid[:, up] == 0) & ~np.delete(border, up, axis=1).any(1)
-    return centre + half * (grid[border.any(1) & ~bottom] * (2 / 3) - 1)
+def nearest_albedo(points: NDArray, albedo: NDArray, at: NDArray) -> NDArray[np.float32]:
+    """Mean albedo [V, 3] of the NEAREST of `points` [N, 3], which have `albedo` [N, 3], around every place `at` [V, 3]."""
+    from scipy.spatial import cKDTree
+
+    _, index = cKDTree(points).query(at, k=range(1, min(NEAREST, len(points)) + 1))
+    return np.asarray(albedo, np.float32)[index].mean(1)
 
 
 @dataclass(frozen=True)
 class LocalLight:
-    """Prefiltered light at every anchor: packed [52, T, 3] as `LightField.packed`."""
+    """Prefiltered light at every anchor: tables [T, 3, A], their rows as those of `field.packed` (`LightField`)."""
 
-    packed: torch.Tensor
+    tables: NDArray[np.float32]
     field: LightField
 
 
 class GridMap:
-    """Anchors' views of a mesh; `resolution`: their cubes' (the paper's 64 costs 52 x 24576 rays).
+    """Anchors' views of a mesh; `resolution`: their cubes' (52 x 6 x 64^2 rays as the paper has it).
 
-    albedo [V, 3] of the mesh. A ray that hits sends back albedo/pi x irradiance of the hit's normal (unoccluded, as
-    the paper has it), a ray that misses the environment.
+    A ray that hits sends back albedo/pi x irradiance of the hit's normal (unoccluded, as the paper has it), a ray that misses
+    the environment.
+
+    Args:
+        occluder: the mesh, V vertices.
+        albedo: at its vertices (`nearest_albedo`); interpolated where rays hit. [V, 3]
+        resolution: D, a power of two.
+        weights: "inverse-square", the authors' program's; "printed", Eq. 9's, which grow with distance.
+        anchors: "box", on the enlarged bounding box; "surface", close to the object (10.4).
+        up: axis of the box whose lower face has no inner anchors.
+        lobe: of the mirrored light.
+        fresnel: "exact" (light passes into and out of the surface) or "schlick" (Eq. 20).
     """
 
     def __init__(
@@ -57,76 +71,131 @@ class GridMap:
         occluder: Occluder,
         albedo: NDArray,
         *,
-        resolution: int = 16,
+        resolution: int = RESOLUTION,
         weights: str = "inverse-square",
+        anchors: str = "box",
         up: int = 1,
         lobe: str = "ggx",
+        fresnel: str = "exact",
     ) -> None:
-        if weights not in WEIGHTS:
-            raise ValueError(f"GridMap weights {weights!r}: must be one of {', '.join(WEIGHTS)}")
-        self.occluder, self.weights, self.resolution = occluder, weights, resolution
+        if weights not in ANCHOR_WEIGHTS or anchors not in ANCHOR_PLACES:
+            raise ValueError(f"GridMap {weights!r}, {anchors!r}: of {', '.join(ANCHOR_WEIGHTS)} and {', '.join(ANCHOR_PLACES)}")
+        self.occluder, self.weights, self.resolution, self.fresnel = occluder, weights, resolution, fresnel
         self.albedo = torch.as_tensor(np.asarray(albedo), dtype=torch.float32)
-        self.anchors = anchors(occluder.vertices, up)
+        self.anchors = box_anchors(occluder.vertices, up) if anchors == "box" else surface_anchors(occluder)
         self._prefilter = Prefilter(resolution, lobe)
-        directions = cube_directions(resolution).reshape(-1, 3)
-        origins = np.repeat(self.anchors, len(directions), axis=0)
-        self._hits = occluder.cast(origins, np.tile(directions, (len(self.anchors), 1)))
+        directions = cube_directions(resolution).reshape(-1, 3).astype(np.float32)
+        origins = np.repeat(self.anchors.astype(np.float32), len(directions), axis=0)
+        hits = occluder.cast(origins, np.tile(directions, (len(self.anchors), 1)))
+        self._hit = torch.as_tensor(np.flatnonzero(hits.blocked))
+        self._corners, self._share = torch.as_tensor(hits.vertices[hits.blocked]), torch.as_tensor(hits.weights[hits.blocked])
 
     @cached_property
     def _normals(self) -> torch.Tensor:
         return torch.as_tensor(self.occluder.normals, dtype=torch.float32)
 
-    def light(self, radiance: torch.Tensor, field: LightField) -> LocalLight:
-        """Local environments under radiance [6, R, R, 3], R a multiple of the anchors' cubes; no gradient."""
-        with torch.no_grad():
-            ratio = radiance.shape[1] // self.resolution
-            far = radiance.reshape(6, self.resolution, ratio, self.resolution, ratio, 3).mean((2, 4)).reshape(-1, 3)
-            entering = float(hemispherical_transmittance(np.asarray(REFERENCE_IOR)))
-            leaving = entering / torch.pi * self.albedo * field.irradiance(self._normals, transmitted=True)
-            corners, w = torch.as_tensor(self._hits.vertices), torch.as_tensor(self._hits.weights)
-            near = (leaving[corners] * w[..., None]).sum(1)
-            count = len(self.anchors)
-            seen = torch.where(torch.as_tensor(self._hits.blocked)[:, None], near, far.repeat(count, 1))
-            cubes = seen.reshape(count, 6, self.resolution, self.resolution, 3)
-            fields = [self._prefilter.apply(cube) for cube in cubes]
-            return LocalLight(torch.stack([f.packed for f in fields]), fields[0])
+    @property
+    def floor(self) -> float:
+        """What is added to squared distances."""
+        box = np.ptp(self.anchors, axis=0)
+        return FLOOR * float(box @ box)
 
-    def blend(self, points: torch.Tensor) -> torch.Tensor:
-        """Weights of the anchors at points [P, 3], summing to 1 [P, 52] (Eq. 9)."""
-        square = ((points[:, None] - torch.as_tensor(self.anchors, dtype=points.dtype)) ** 2).sum(-1)
-        if self.weights == "printed":
-            weight = square.sqrt()
-        else:
-            # The floor, 1e-6 of the box's squared diagonal, meets a point that sits on an anchor.
-            weight = 1 / (square + 1e-6 * float(np.ptp(self.anchors, axis=0) @ np.ptp(self.anchors, axis=0)))
-        return weight / weight.sum(1, keepdim=True)
+    def light(self, radiance: torch.Tensor, field: LightField) -> LocalLight:
+        """Local environments under radiance [6, R, R, 3], of which `field` is the prefiltered light; no gradient."""
+        with torch.no_grad():
+            far = self._far(radiance.detach().cpu().float())
+            leaving = self._leaving(field)
+            count = len(self.anchors)
+            seen = far.repeat(count, 1)
+            seen[self._hit] = (leaving[self._corners] * self._share[..., None]).sum(1)
+            fields = [self._prefilter.apply(cube) for cube in seen.reshape(count, 6, self.resolution, self.resolution, 3)]
+            tables = np.stack([f.packed.numpy() for f in fields], 2)
+            return LocalLight(np.ascontiguousarray(tables), fields[0])
+
+    def _far(self, radiance: torch.Tensor) -> torch.Tensor:
+        """The environment in an anchor's texels [6 D^2, 3]: means of its own, or between them where they are larger."""
+        size, own = self.resolution, radiance.shape[1]
+        if own > size:
+            ratio = own // size
+            return radiance.reshape(6, size, ratio, size, ratio, 3).mean((2, 4)).reshape(-1, 3)
+        if own == size:
+            return radiance.reshape(-1, 3)
+        directions = torch.as_tensor(cube_directions(size).reshape(-1, 3), dtype=torch.float32)
+        return lookup(extend(radiance), directions, own)
+
+    def _leaving(self, field: LightField) -> torch.Tensor:
+        """Diffuse radiance [V, 3] of the mesh's vertices."""
+        exact = self.fresnel == "exact"
+        out = float(hemispherical_transmittance(np.asarray(REFERENCE_IOR))) if exact else 1.0
+        return out / torch.pi * self.albedo * field.irradiance(self._normals, transmitted=exact).detach().cpu()
+
+    def blend(self, points: NDArray) -> NDArray[np.float32]:
+        """Weights of the anchors at points [P, 3], summing to 1 [P, A] (Eq. 9)."""
+        out = np.empty((len(points), len(self.anchors)), np.float32)
+        where = np.ascontiguousarray(points, np.float32), np.ascontiguousarray(self.anchors.T, np.float32)
+        kernels.blend_weights(*where, self.weights == "printed", np.float32(self.floor), out)
+        return out
+
+    def received(self, weight: NDArray[np.float32], normals: NDArray, local: LocalLight) -> NDArray[np.float32]:
+        """Irradiance [P, 3] by normals [P, 3] of the anchors' light, blended by weight [P, A]."""
+        level = local.field.transmitted if self.fresnel == "exact" else local.field.cosine
+        return _blended(local.tables, level, normals, np.arange(len(normals)), np.ones(len(normals), np.float32), weight)
+
+    def mirrored(
+        self, weight: NDArray[np.float32], directions: NDArray, roughness: NDArray, rows: NDArray, local: LocalLight
+    ) -> NDArray[np.float32]:
+        """E(roughness, direction) [P, 3] of the anchors' light, blended; of the points `rows` alone, 0 elsewhere."""
+        nodes = np.array(local.field.roughnesses, np.float32)
+        place = np.interp(roughness, nodes, np.arange(len(nodes))).astype(np.float32)
+        out = np.zeros((len(directions), 3), np.float32)
+        for k, level in enumerate(local.field.specular):
+            share = np.maximum(0, 1 - np.abs(place - k)).astype(np.float32)
+            out += _blended(local.tables, level, directions, rows[share[rows] > 0], share, weight)
+        return out
 
     def occlusion(
         self,
-        points: torch.Tensor,  # [P, 3] world
-        normals: torch.Tensor,  # [P, 3]
-        view: torch.Tensor,  # [P, 3] towards the camera
-        roughness: torch.Tensor,  # [P]
+        points: NDArray,  # [P, 3] world
+        normals: NDArray,  # [P, 3]
+        view: NDArray,  # [P, 3] towards the camera
+        roughness: NDArray,  # [P]
         local: LocalLight,
+        blocked: NDArray[np.bool_] | None = None,  # [P]
     ) -> Occlusion:
-        """What `shade` needs: diffuse light from the anchors everywhere, mirrored light where the mirror ray hits."""
+        """What `shade` needs: diffuse light from the anchors everywhere, mirrored light where the mirror ray hits.
+
+        blocked: whether it does, where the caller has found out; else a ray is cast from each point.
+        """
+        mirror = 2 * np.einsum("pk,pk->p", normals, view)[:, None] * normals - view
+        if blocked is None:
+            blocked = self.occluder.blocked(points + self.occluder.lift * normals, mirror)
         weight = self.blend(points)
-        mirror = 2 * (normals * view).sum(-1, keepdim=True) * normals - view
-        origins = (points + self.occluder.lift * normals).numpy()
-        blocked = torch.as_tensor(self.occluder.blocked(origins, mirror.numpy()))
-        field = local.field
-        diffuse = _blended(local.packed, field.transmitted, weight, normals)
-        seen = torch.zeros_like(diffuse)
-        if blocked.any():
-            mean = torch.stack([replace(field, packed=p).mirrored(mirror[blocked], roughness[blocked]) for p in local.packed])
-            seen[blocked] = torch.einsum("pa,apc->pc", weight[blocked], mean)
-        return Occlusion(torch.zeros_like(diffuse), diffuse, (~blocked).to(diffuse.dtype), seen)
+        diffuse = torch.as_tensor(self.received(weight, normals, local))
+        seen = torch.as_tensor(self.mirrored(weight, mirror, roughness, np.flatnonzero(blocked), local))
+        free = torch.as_tensor((~blocked).astype(np.float32))
+        return Occlusion(torch.zeros_like(diffuse), diffuse, free, seen)
 
 
-def _blended(packed: torch.Tensor, level: Level, weight: torch.Tensor, directions: torch.Tensor) -> torch.Tensor:
-    """Lookup [P, 3] of a level in the directions, of the anchors' tables blended by weight [P, 52]."""
-    tables = torch.stack([level.of(p) for p in packed])
-    anchors_, rows, _ = tables.shape
-    # Bilinear lookup is linear in the table: one lookup of all anchors side by side, then the blend.
-    flat = lookup(tables.permute(1, 0, 2).reshape(rows, -1), directions, level.resolution)
-    return torch.einsum("pa,pac->pc", weight, flat.reshape(len(directions), anchors_, 3))
+def _blended(
+    tables: NDArray[np.float32], level: Level, directions: NDArray, rows: NDArray, share: NDArray, weight: NDArray
+) -> NDArray[np.float32]:
+    """share x lookup of a level of all anchors, blended, for the points `rows` [P, 3]; 0 for the others."""
+    out = np.zeros((len(directions), 3), np.float32)
+    index = padded_indices(level.resolution).ravel()
+    d = np.ascontiguousarray(directions, np.float32)
+    kernels.add_blended(tables, level.start, level.resolution, index, d, rows, share, weight, out)
+    return out
+
+
+def plain_weights(points: torch.Tensor, anchors: torch.Tensor, weights: str, floor: float) -> torch.Tensor:
+    """`GridMap.blend` in torch: the definition. points [P, 3], anchors [A, 3] -> [P, A]."""
+    square = ((points[:, None] - anchors) ** 2).sum(-1)
+    weight = square.sqrt() if weights == "printed" else 1 / (square + floor)
+    return weight / weight.sum(1, keepdim=True)
+
+
+def plain_blend(tables: torch.Tensor, level: Level, weight: torch.Tensor, directions: torch.Tensor) -> torch.Tensor:
+    """Lookup [P, 3] of a level in the directions [P, 3], of tables [T, 3, A] blended by weight [P, A]: the definition."""
+    rows = level.of(tables)
+    flat = lookup(rows.reshape(len(rows), -1), directions, level.resolution)
+    return torch.einsum("pa,pca->pc", weight, flat.reshape(len(directions), 3, -1))

@@ -2,7 +2,8 @@
 
 Rays from every vertex to the texels of a coarse cube tell once which light arrives and where the rest comes from.
 After that any environment costs two matrix products: the share of irradiance that arrives (`shadow`), and the light
-from the object's own surface (`bounced`), whose radiance is albedo/pi times its own irradiance, one or more times over.
+from the object's own surface (`bounced`), whose radiance is albedo/pi times its own irradiance, over and over. What the
+interface mirrors counts as sent back evenly too: of a dark body it is half of all that leaves.
 """
 
 from __future__ import annotations
@@ -24,6 +25,9 @@ from .shading import Occlusion
 from .splitsum import half_vectors
 from .symmetry import torch_csr
 
+# Bounces end where the last adds less than this share of all, which no 8-bit image shows. Half of a white bowl's light comes
+# back each time, so that it takes ten.
+SETTLED, MOST_BOUNCES = 1e-3, 64
 # Rays cast at a time: bounds the memory at about 300 MB.
 BLOCK = 4_000_000
 
@@ -73,7 +77,8 @@ class Transfer:
         self.albedo = torch.as_tensor(np.asarray(albedo), dtype=torch.float32)
         # Received light is weighted by the way in at the reference IoR: scaled to this one, times the mean way out.
         entering = float(fresnel.hemispherical_transmittance(np.asarray(ior)))
-        self._leaving = entering * entering / float(fresnel.hemispherical_transmittance(np.asarray(REFERENCE_IOR)))
+        reference = float(fresnel.hemispherical_transmittance(np.asarray(REFERENCE_IOR)))
+        self._leaving = (entering * entering * self.albedo + (1 - entering)) / reference
         self._directions = cube_directions(resolution).reshape(-1, 3).astype(np.float32)
         self._areas = np.tile(sphere.cube_solid_angles(resolution).ravel(), 6).astype(np.float32)
         self._vertices = self.gather(occluder.vertices, occluder.normals)
@@ -108,23 +113,28 @@ class Transfer:
         # The floor meets a black environment: nothing arrives, and a shadow of nothing is 1.
         return arriving, 1 - (at.blocked @ texels) / arriving.clamp_min(torch.finfo(arriving.dtype).tiny)
 
-    def light(self, radiance: torch.Tensor, bounces: int = 2) -> SurfaceLight:
-        """Light at the vertices under radiance [6, R, R, 3] (R at least the transfer's resolution); differentiable."""
+    def light(self, radiance: torch.Tensor, bounces: int = MOST_BOUNCES) -> SurfaceLight:
+        """Light at the vertices under radiance [6, R, R, 3] (R at least the transfer's resolution); differentiable.
+
+        At most `bounces` are followed, and no more once they hardly add anything.
+        """
         texels = self._texels(radiance)
         arriving, shadow = self._received(self._vertices, texels)
         return self._spread(shadow, shadow * arriving, texels, bounces)
 
-    def lit(self, direct: torch.Tensor, bounces: int = 2) -> SurfaceLight:
+    def lit(self, direct: torch.Tensor, bounces: int = MOST_BOUNCES) -> SurfaceLight:
         """Light at the vertices that receive `direct` [V, 3] from lamps that are no environment; its `texels` are dark."""
         dark = torch.zeros(len(self._directions), 3)
         return self._spread(torch.ones_like(direct), direct, dark, bounces)
 
     def _spread(self, shadow: torch.Tensor, direct: torch.Tensor, texels: torch.Tensor, bounces: int) -> SurfaceLight:
         """What the surface sends on to itself of the light that it receives directly [V, 3]."""
-        scale = self._leaving / torch.pi * self.albedo
+        scale = self._leaving / torch.pi
         bounced = torch.zeros_like(direct)
         for _ in range(bounces):
-            bounced = self._vertices.met @ (scale * (direct + bounced))
+            before, bounced = bounced, self._vertices.met @ (scale * (direct + bounced))
+            if float((bounced - before).detach().sum()) <= SETTLED * float((direct + bounced).detach().sum()):
+                break
         return SurfaceLight(shadow, bounced, scale * (direct + bounced), texels)
 
     def _texels(self, radiance: torch.Tensor) -> torch.Tensor:

@@ -37,6 +37,6 @@ def run(run: StageRun) -> None:
 
 
 STAGE = Stage(
-    "mesh", 3, MeshParameters, ("decode", "poses", "masks", "olat", "train"), needed, run, config=("up", "unit_m"),
+    "mesh", 4, MeshParameters, ("decode", "poses", "masks", "olat", "train"), needed, run, config=("up", "unit_m"),
     memory=memory_estimate.mesh,
 )  # fmt: skip

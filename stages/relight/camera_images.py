@@ -66,7 +66,7 @@ def _relight_maps(
     mask: NDArray[np.bool_] | None,
 ) -> None:
     """A camera's fitted maps under a map, and how far that is from the sum of its frames."""
-    occlusion = run.parameters.occlusion != "off"
+    occlusion = run.parameters.indirect != "none"
     shaded = relight_maps(run.inputs["olat"] / name, camera, light, up=run.capture.up, occlusion=occlusion)
     _write(run, environment, name, shaded)
     inside = np.asarray(shaded.any(-1)) if mask is None else mask

@@ -18,7 +18,8 @@ from pipeline.shading import LightField, Prefilter, latlong, shade
 class Surface:
     """P surface points seen by a camera, world frame: unit normals and directions to the camera [P, 3], material, frame.
 
-    material [P, 5]: albedo R G B, roughness, ior. frame_x, frame_y [P, 3]: each pixel's Stokes axes.
+    material [P, 5]: albedo R G B, roughness, ior. frame_x, frame_y [P, 3]: each pixel's Stokes axes; pixels [P]: their
+    flat indices in a view.
     """
 
     position: NDArray
@@ -27,6 +28,14 @@ class Surface:
     material: NDArray
     frame_x: NDArray
     frame_y: NDArray
+    pixels: NDArray[np.int64] | None = None
+
+    def part(self, rows: slice) -> Surface:
+        """Some of the points."""
+        pixels = None if self.pixels is None else self.pixels[rows]
+        images = (self.position, self.normal, self.view, self.material, self.frame_x, self.frame_y)
+        position, normal, view, material, frame_x, frame_y = (values[rows] for values in images)
+        return Surface(position, normal, view, material, frame_x, frame_y, pixels)
 
 
 @dataclass(frozen=True)
@@ -37,6 +46,7 @@ class ShadingModel:
     fresnel: str = "exact"
     lobe: str = "ggx"
     occlusion: bool = False
+    indirect: str = "none"
     mirror: str = "split"
 
     @classmethod
@@ -45,7 +55,8 @@ class ShadingModel:
         import json
 
         facts = json.loads(path.read_text()) if path.exists() else {}
-        known = {k: facts[k] for k in ("fresnel", "lobe", "occlusion") if k in facts}
+        known = {k: facts[k] for k in ("fresnel", "lobe", "occlusion", "indirect") if k in facts}
+        known.setdefault("indirect", "traced" if known.get("occlusion") else "none")  # of a training that knew one kind alone
         return cls(up=facts.get("up", up), mirror=mirror if facts.get("fresnel") != "schlick" else "split", **known)
 
 

@@ -12,16 +12,19 @@ from .mesh_images import MeshPixels
 
 if TYPE_CHECKING:
     from pipeline.shading import Occlusion
-    from pipeline.shading.transfer import Attachment
 
-    from .mesh_shadows import SelfOcclusion
+    from .indirect import Indirect
 
 
 class Lighting(Protocol):
     """What every light can do."""
 
-    def of_view(self, surface: Surface, attachment: Attachment | None) -> NDArray[np.float32]:
-        """Stokes vectors [P, 3, 3] of a view's points, tied to the mesh (`SelfOcclusion.attach`) where it throws shadows."""
+    @property
+    def occluder(self) -> Indirect | None:
+        """What the mesh takes from it and sends on; None where nothing is occluded."""
+
+    def of_view(self, surface: Surface, attachment: Any) -> NDArray[np.float32]:
+        """Stokes vectors [P, 3, 3] of a view's points, tied to the mesh (`Indirect.attach`) where it throws shadows."""
 
     def of_mesh(self, seen: MeshPixels) -> NDArray[np.float32]:
         """Stokes vectors [M, 3, 3] of points of the mesh."""
@@ -30,24 +33,24 @@ class Lighting(Protocol):
 class MapLighting:
     """An environment map, with the shadows and bounces of the mesh where there are any."""
 
-    def __init__(self, lamp: Lamp, occluder: SelfOcclusion | None) -> None:
-        self._lamp, self._occluder = lamp, occluder
+    def __init__(self, lamp: Lamp, occluder: Indirect | None) -> None:
+        self._lamp, self.occluder = lamp, occluder
         self._light = occluder.under(lamp) if occluder else None
         self._received: NDArray | None = None
 
-    def of_view(self, surface: Surface, attachment: Attachment | None) -> NDArray[np.float32]:
-        """Shadowed, with one bounce, reflections too."""
+    def of_view(self, surface: Surface, attachment: Any) -> NDArray[np.float32]:
+        """Shadowed, with what the object sends on, reflections too."""
         occlusion = None
-        if self._occluder is not None and self._light is not None and attachment is not None:
-            occlusion = self._occluder.at(attachment, self._light)
+        if self.occluder is not None and attachment is not None:
+            occlusion = self.occluder.at(attachment, self._light)
         return self._lamp.stokes(surface, occlusion)
 
     def of_mesh(self, seen: MeshPixels) -> NDArray[np.float32]:
-        """Diffuse light shadowed, with one bounce; reflections go free."""
-        if self._occluder is None or self._light is None:
+        """Diffuse light shadowed, with what the object sends on; reflections go free."""
+        if self.occluder is None:
             return self._lamp.stokes(seen.surface)
         if self._received is None:
-            self._received = self._occluder.on_mesh(self._light)
+            self._received = self.occluder.on_mesh(self._light)
         return self._lamp.stokes(seen.surface, diffuse_occlusion(seen.carried(self._received), 1.0))
 
 

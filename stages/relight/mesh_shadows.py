@@ -73,7 +73,7 @@ class SelfOcclusion:
         near = mesh.nearest(points)
         return np.einsum("pk,pkc->pc", near.weights, mesh.vertices[near.vertices])
 
-    def attach(self, surface: Surface, own_rays: bool = False) -> Attachment:
+    def attach(self, surface: Surface, own_rays: bool = False, name: str = "") -> Attachment:
         """Rays of a view's points: they hold for every map. own_rays: also for diffuse light (`Transfer.attach`)."""
         points, normals, view = (np.asarray(v @ self._turn.T) for v in (surface.position, surface.normal, surface.view))
         points = self._on_mesh(points)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
-from pipeline.optics.model_names import Mirror
+from pipeline.optics.model_names import AnchorPlaces, AnchorWeights, Indirect, Mirror
 
 
 @dataclass(frozen=True)
@@ -13,8 +13,19 @@ class RelightParameters:
     """How the model is lit anew."""
 
     cube: int = field(default=128, metadata={"help": "texels along a side of the map's cube faces, a power of two (texels)"})
-    occlusion: Literal["auto", "on", "off"] = field(
-        default="auto", metadata={"help": "shadows and one bounce from the mesh; auto: where training modelled them"}
+    indirect: Literal["auto", Indirect] = field(
+        default="auto",
+        metadata={
+            "help": "light that the mesh hides from and sends to itself: traced (shadows, two bounces), gridmap (PhyGaP's "
+            "local environments), sh (what train.indirect=sh has learnt), none; auto: as in training; left out where the mesh "
+            "hides nothing"
+        },
+    )
+    gridmap_weights: AnchorWeights = field(
+        default="inverse-square", metadata={"help": "weights of GridMap's anchors: 1/d^2, or d as Eq. 9 prints it"}
+    )
+    gridmap_anchors: AnchorPlaces = field(
+        default="box", metadata={"help": "where GridMap's anchors stand: on the bounding box, or close to the surface (10.4)"}
     )
     mirror: Mirror = field(
         default="tree",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import fields
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -33,7 +32,7 @@ class PlacedLighting:
     """Lights in the world of the dataset, with the shadows and bounces of the mesh where there are any."""
 
     def __init__(self, lights: Sequence[Light], model: ShadingModel, occluder: SelfOcclusion | None) -> None:
-        self._lights, self._model, self._occluder = lights, model, occluder
+        self._lights, self._model, self.occluder = lights, model, occluder
         self._dark = Lamp(np.zeros((2 * DARK_CUBE, 4 * DARK_CUBE, 3), np.float32), DARK_CUBE, model)
         if occluder is not None:
             positions, normals = occluder.surface()
@@ -44,21 +43,21 @@ class PlacedLighting:
     def of_view(self, surface: Surface, attachment: Attachment | None) -> NDArray[np.float32]:
         """Shadowed, with one bounce, reflections too."""
         direct = self._direct(surface)
-        if self._occluder is None or attachment is None:
+        if self.occluder is None or attachment is None:
             return direct
-        return direct + self._dark.stokes(surface, self._occluder.at(attachment, self._light))
+        return direct + self._dark.stokes(surface, self.occluder.at(attachment, self._light))
 
     def of_mesh(self, seen: MeshPixels) -> NDArray[np.float32]:
         """Shadowed, with one diffuse bounce."""
         direct = self._direct(seen.surface)
-        if self._occluder is None:
+        if self.occluder is None:
             return direct
         return direct + self._dark.stokes(seen.surface, diffuse_occlusion(seen.carried(self._bounced), 1.0))
 
     def _direct(self, surface: Surface) -> NDArray[np.float32]:
         out = np.zeros((len(surface.position), 3, 3), np.float32)
         for rows in _blocks(surface.position):
-            part = Surface(*(getattr(surface, f.name)[rows] for f in fields(surface)))
+            part = surface.part(rows)
             leaves, radiance = self._arriving(part.position, part.normal)
             normal, view, material, x, y = map(_single, (part.normal, part.view, part.material, part.frame_x, part.frame_y))
             stokes = shade_samples(
@@ -69,15 +68,15 @@ class PlacedLighting:
 
     def _arriving(self, position: NDArray, normal: NDArray) -> tuple[Leaves, torch.Tensor]:
         """What reaches points [P, 3] with unit normals [P, 3], as leaves, and the lamps' radiances [N, 3]."""
-        starts = self._occluder.starts(position, normal) if self._occluder else None
+        starts = self.occluder.starts(position, normal) if self.occluder else None
         found: list[tuple[NDArray, ...]] = []
         for k, light in enumerate(self._lights):
             seen = samples(light, position, SIDE)
             above = (np.einsum("pkc,pc->pk", seen.direction, normal) > 0) & (seen.solid_angle > 0)
             point, cell = np.nonzero(above)
             direction, distance = seen.direction[point, cell], seen.distance[point, cell]
-            if self._occluder is not None and starts is not None:
-                free = ~self._occluder.hidden(starts[point], direction, distance)
+            if self.occluder is not None and starts is not None:
+                free = ~self.occluder.hidden(starts[point], direction, distance)
                 point, cell, direction = point[free], cell[free], direction[free]
             found.append((point, np.full(len(point), k), direction, seen.solid_angle[point, cell]))
         point, node, direction, angle = (np.concatenate(parts) for parts in zip(*found))

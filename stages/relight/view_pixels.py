@@ -65,7 +65,8 @@ def read_view(path: Path, camera: Camera, mask: Path | None, mesh: BakedMesh | N
     along = rays @ camera.world_to_camera[2, :3]  # z of a unit ray
     position = camera.centre + rays * (g.depth / along)[..., None]
     images = (position, g.normal, -rays, g.material, frame_x, frame_y)
-    surface = Surface(*(v.reshape(-1, v.shape[-1])[index] for v in images))
+    position, normal, view, material, frame_x, frame_y = (v.reshape(-1, v.shape[-1])[index] for v in images)
+    surface = Surface(position, normal, view, material, frame_x, frame_y, index)
     alpha = g.alpha.ravel()[index]
     rim = blended(g.normal)
     if mesh is None:

@@ -32,7 +32,7 @@ SMALL = {
     "start_fraction": 1.0,
     "coarse_fraction": 1.0,
     "environment_resolution": 16,
-    "occlusion": False,
+    "indirect": "none",
     "mirror": "split",
     "densify": False,
     "concavities": "off",
@@ -112,6 +112,6 @@ def _trainer(
     bank = PolariserBank(priors, scene.bank.names)
     for name, angle in angles.items():
         bank.set_angle(name, math.radians(angle))
-    environment = start_environment(parameters.environment_resolution)
+    environment = start_environment(parameters)
     own = Scene(SplatModel(scene.model.tensors), environment, bank, scene.hull)
     return Trainer(own, start.pyramids, "polarisers", start.frame, parameters, "cpu")

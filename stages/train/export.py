@@ -11,7 +11,7 @@ import numpy as np
 import torch
 
 from pipeline.formats.gbuffer import NORMAL, PARTS, SurfaceImage, channels_of
-from pipeline.formats.images import STOKES, write_rgb
+from pipeline.formats.images import RGB, STOKES, write_exr, write_rgb
 from pipeline.formats.ply import write_ply
 from pipeline.geometry.world_offset import ply_comment
 
@@ -62,6 +62,14 @@ def view_channels(rendered: Rendered, view: View, frame: SceneFrame) -> dict[str
         rgb = image(values.cpu() * alpha)
         channels |= {f"{part}.{c}": rgb[..., k] for k, c in enumerate("RGB")}
     return channels | channels_of(surface_image(rendered, view, frame))
+
+
+def write_learnt_light(path: Path, rendered: Rendered, view: View, frame: SceneFrame) -> None:
+    """Radiance that a view's surface mirrors of the object itself, as learnt (`train.indirect=sh`), in the capture's: R G B."""
+    height, width = view.size
+    flat = np.zeros((height * width, 3), np.float32)
+    flat[view.pixels.cpu().numpy()] = np.nan_to_num(rendered.gbuffer.extra.cpu().numpy()) / frame.exposure
+    write_exr(path, {c: flat[:, k].reshape(height, width) for k, c in enumerate(RGB)})
 
 
 def with_normals(

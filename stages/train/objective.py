@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 
 from .parameters import TrainParameters
+from .printed_objective import printed_terms
 from .render_view import Rendered
 from .scene import Scene
 from .splats.surface_losses import SurfaceWeights, surface_loss
@@ -50,11 +51,15 @@ def loss_terms(
     Returns:
         Scalars by name, whose sum is the step's loss, and the parts of "surface" as plain numbers.
     """
+    environment = ENVIRONMENT_UNIT * parameters.weight_environment * scene.environment.roughness_of()
+    if parameters.losses == "printed" and len(view.pixels):
+        terms = printed_terms(parameters, mode, view, rendered, *compared(mode, scene, rendered.stokes, view))
+        return terms | {"environment": environment}, {}
     terms = _image_terms(parameters, mode, scene, view, rendered)
     mask = losses.mask_loss(rendered.gbuffer.alpha_image, view.alpha_target, view.alpha_weight)
     terms["mask"] = parameters.weight_mask * mask
     terms["surface"], parts = _surface_term(parameters, scene, rendered)
-    terms["environment"] = ENVIRONMENT_UNIT * parameters.weight_environment * scene.environment.roughness_of()
+    terms["environment"] = environment
     return terms, {"depth_normal": float(parts[0]), "smooth": float(parts[1:].sum())}
 
 

@@ -3,10 +3,29 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 from pipeline.capture.model import Polarisation
-from pipeline.optics.model_names import Distribution, Fresnel, Mirror
+from pipeline.optics.model_names import AnchorPlaces, AnchorWeights, Distribution, Fresnel, Indirect, Mirror
+
+PAPER: dict[str, Any] = {
+    "losses": "printed",
+    "weight_dssim": 0.2,
+    "weight_polarisation": 10.0,
+    "weight_mask": 0.4,
+    "weight_depth_normal": 0.2,
+    "weight_smooth": 0.1,
+    "weight_environment": 0.0,
+    "fresnel": "schlick",
+    "lobe": "ggx",
+    "mirror": "split",
+    "indirect": "gridmap",
+    "environment_activation": "printed",
+    "environment_resolution": 64,
+    "concavities": "off",
+}
+"""PhyGaP's loss terms and weights (Eq. 10, 9.1), shading (Eqs. 15-20), GridMap and environment (Eq. 33, 6 x 64^2); what it does
+not have is off. Start, rasteriser, optimiser and schedule stay this program's."""
 
 
 def _p(default: Any, text: str) -> Any:
@@ -17,6 +36,12 @@ def _p(default: Any, text: str) -> Any:
 class TrainParameters:
     """How the model is trained. Lengths are relative to the object's size: the scene is normalised first."""
 
+    PRESETS: ClassVar[dict[str, dict[str, Any]]] = {"ours": {}, "paper": PAPER}
+    """Values of what is not given, by `preset`."""
+
+    preset: Literal["ours", "paper"] = field(
+        default="ours", metadata={"help": "defaults of what is not given: this program's, or PhyGaP's method as it is printed"}
+    )
     iterations: int = _p(1500, "optimisation steps, one training view each (count)")
     max_minutes: float = _p(0.0, "stop refining after this much training time; 0 = no limit (minutes)")
     seed: int = _p(0, "seed of every random choice")
@@ -46,9 +71,36 @@ class TrainParameters:
         default="lobe-12",
         metadata={"help": "mirrored light: a sum over facets, over a tree of texels, or the split sum (always with schlick)"},
     )
+    environment_activation: Literal["exponential", "printed"] = field(
+        default="exponential",
+        metadata={
+            "help": "radiance of the environment's parameters: their exponential, with a common step of light against albedo; "
+            "or PhyGaP's Eq. 33 without one"
+        },
+    )
     environment_resolution: int = _p(32, "texels along a side of the environment cube's faces (texels)")
-    occlusion: bool = _p(True, "trace self-shadowing and one bounce where the object occludes itself")
+    indirect: Indirect = field(
+        default="traced",
+        metadata={
+            "help": "light that the object hides from and sends to itself: traced (shadows, one bounce), gridmap (PhyGaP's "
+            "local environments), sh (learnt by every Gaussian, for mirrored light, as Ref-Gaussian), none; left out where "
+            "the object hides nothing"
+        },
+    )
+    gridmap_weights: AnchorWeights = field(
+        default="inverse-square", metadata={"help": "weights of GridMap's anchors: 1/d^2, or d as Eq. 9 prints it"}
+    )
+    gridmap_anchors: AnchorPlaces = field(
+        default="box", metadata={"help": "where GridMap's anchors stand: on the bounding box, or close to the surface (10.4)"}
+    )
 
+    losses: Literal["encoded", "printed"] = field(
+        default="encoded",
+        metadata={
+            "help": "form of the losses of Eq. 10: of display-encoded radiance and over the surface graph, or as printed: of "
+            "linear radiance and of images"
+        },
+    )
     weight_rgb: float = _p(1.0, "weight of the radiance loss L_rgb (Eq. 10)")
     weight_dssim: float = _p(0.0, "share of structural dissimilarity in L_rgb; the rest is pixelwise (fraction)")
     weight_polarisation: float = _p(8.0, "weight of the Stokes loss relative to the radiance loss (lambda 1)")

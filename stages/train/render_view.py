@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
 
 from pipeline.shading import LightField, Occlusion, Shaded, shade
 
+from .indirect.pixel_light import PixelLight
 from .rasterize import Raster, rasterize
 from .splats.gaussians import Splats, unit
 from .views.view import View
@@ -141,7 +143,8 @@ def render_view(
     backend: str = "cpu",
     fresnel: str = "exact",
     mirror: str = "split",
-    occlusion: Occlusion | None = None,
+    occlusion: Occlusion | Callable[[GBuffer], Occlusion] | None = None,
+    extra: torch.Tensor | None = None,
 ) -> Rendered:
     """Stokes image of a view at its P counting pixels, differentiable in splats and light.
 
@@ -151,11 +154,14 @@ def render_view(
         light: prefiltered environment.
         backend: rasteriser (`rasterize.BACKENDS`).
         fresnel, mirror: shading model, as in `pipeline.shading.shade` (Schlick always has the split sum).
-        occlusion: what the object takes from and adds to the light at the pixels; None: nothing.
+        occlusion: what the object takes from and adds to the light at the pixels, or what tells it from the G-buffer; None:
+            nothing.
+        extra: per-splat values that are blended alongside. [N, C]
     """
-    g = rasterise_view(splats, view, view.pixels, backend)
+    g = rasterise_view(splats, view, view.pixels, backend, extra)
     # An empty pixel has a zero normal: any finite one will do, its opacity is 0.
     normal = torch.where(g.alpha[:, None] > 0, g.normal, view.view_direction)
+    light_here = occlusion(g) if callable(occlusion) else occlusion
     shaded = shade(
         normal,
         view.view_direction,
@@ -165,7 +171,7 @@ def render_view(
         view.frame_x,
         view.frame_y,
         light,
-        occlusion=occlusion,
+        occlusion=light_here.under(normal, g.extra) if isinstance(light_here, PixelLight) else light_here,
         fresnel=fresnel,
         mirror=mirror if fresnel == "exact" else "split",
     )

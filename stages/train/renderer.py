@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import torch
 
 from pipeline.shading import LightField, Occlusion, Prefilter
+from pipeline.shading.occluded import LEAST_BLOCKED
 
+from .indirect.substitutes import substitute
 from .parameters import TrainParameters
-from .render_view import LEAST_ALPHA, Rendered, rasterise_view, render_view
+from .render_view import LEAST_ALPHA, GBuffer, Rendered, rasterise_view, render_view
 from .scene import Scene
 from .splats.gaussians import ROUGHNESS_FLOOR, Splats
-from .splats.splat_occlusion import LEAST_BLOCKED, carried_hull, trace_pixels, trace_splats
+from .splats.splat_occlusion import carried_hull, trace_pixels, trace_splats
 from .views.view import View
 
 
@@ -28,6 +30,7 @@ class Renderer:
     def __init__(self, scene: Scene, parameters: TrainParameters, backend: str) -> None:
         self.scene, self.parameters, self.backend = scene, parameters, backend
         self.prefilter = Prefilter(parameters.environment_resolution, parameters.lobe)
+        self.substitute = substitute(scene, parameters)  # of traced light
 
     def light(self) -> LightField:
         """The prefiltered environment."""
@@ -41,28 +44,44 @@ class Renderer:
     def render_whole(self, view: View) -> Rendered:
         """Any view, traced for itself where the object occludes itself."""
         light, splats = self.light(), self.scene.model.activated()
+        if self.substitute is not None:
+            other = self.substitute
+            return self._shaded(splats, view, light, (lambda g: other.at(view, g)) if other.active else None)
         traced = self.scene.splat_occlusion is not None
         return self._shaded(splats, view, light, self.trace_view(view, light, splats) if traced else None)
 
-    def _shaded(self, splats: Splats, view: View, light: LightField, occlusion: Occlusion | None) -> Rendered:
+    def _shaded(
+        self, splats: Splats, view: View, light: LightField, occlusion: Occlusion | Callable[[GBuffer], Occlusion] | None
+    ) -> Rendered:
         p = self.parameters
-        return render_view(splats, view, light, backend=self.backend, fresnel=p.fresnel, mirror=p.mirror, occlusion=occlusion)
+        extra = self.substitute.extra(view, splats) if self.substitute is not None and occlusion is not None else None
+        return render_view(
+            splats, view, light, backend=self.backend, fresnel=p.fresnel, mirror=p.mirror, occlusion=occlusion, extra=extra
+        )  # fmt: skip
 
     @torch.no_grad()
     def trace(self, views: Sequence[View], level: int) -> None:
-        """Trace shadows, bounces and blocked reflections for every one of the views, which are those of a pyramid level."""
+        """Trace shadows, bounces and blocked reflections (or what `train.indirect` puts in their place) for every one of the
+        views, which are those of a pyramid level."""
         light, splats = self.light(), self.scene.model.activated()
         self.trace_surface(light, splats)
         self.scene.occlusion.clear()
+        if self.substitute is not None and self.substitute.active:
+            for view in views:
+                seen = rasterise_view(splats, view, view.pixels, self.backend)
+                self.scene.occlusion[view.name, level] = self.substitute.at(view, seen, follows=True)
         if self.scene.splat_occlusion is None:
             return
         for view in views:
             self.scene.occlusion[view.name, level] = self.trace_view(view, light, splats)
 
     def trace_surface(self, light: LightField, splats: Splats) -> None:
-        """The occluder and what each splat receives; None of the latter where next to nothing is occluded."""
+        """The occluder and what each splat receives; None of the latter where little is occluded, or nothing is traced."""
         scene, p = self.scene, self.parameters
         scene.occluder = carried_hull(scene.hull, scene.model)
+        if self.substitute is not None:
+            self.substitute.update(light, splats)
+            return
         traced = trace_splats(scene.occluder, splats, light, scene.linked(), p.seed, p.fresnel)
         scene.splat_occlusion = traced if traced.blocked >= LEAST_BLOCKED else None
 

@@ -95,6 +95,8 @@ def write_results(trainer: Trainer, start: Start, sources: list[SourceView], sta
             view, rendered = whole_view(trainer, start, source)
             channels = export.view_channels(rendered, view, frame)
             write_gbuffer(files.gbuffer(output, source.name), channels)
+            if rendered.gbuffer.extra.shape[-1]:
+                export.write_learnt_light(files.learnt_light(output, source.name), rendered, view, frame)
             if source.split == "test":
                 normals = mean_normals(trainer.scene.model.activated(), view, trainer.renderer.backend, openings)
                 channels = export.with_normals(channels, normals, view, frame)
@@ -111,5 +113,8 @@ def write_results(trainer: Trainer, start: Start, sources: list[SourceView], sta
         "mirror": trainer.parameters.mirror,
         "environment_resolution": trainer.parameters.environment_resolution,
         "occlusion": bool(trainer.scene.occlusion),
+        "indirect": trainer.parameters.indirect if trainer.scene.occlusion else "none",
     }
+    none = "switched off" if trainer.parameters.indirect == "none" else "the object hides next to nothing of itself"
+    stage.note("indirect", {"run": facts["occlusion"], "reason": facts["indirect"] if facts["occlusion"] else none})
     export.write_lighting(output / files.LIGHTING, frame, facts)

@@ -21,6 +21,7 @@ STEP_RULES = {
     "ior_offset": StepRule(2e-3, 2),
     "roughness": StepRule(1e-2),
     "ior": StepRule(1e-2),
+    "indirect": StepRule(1e-2),
     "environment": StepRule(4e-2),
     "angles": StepRule(2e-2),
 }

@@ -11,6 +11,7 @@ import torch
 from pipeline.capture.model import PolariserPrior
 from pipeline.geometry.silhouette_hull import Silhouette, occupancy, signed_distance
 
+from .indirect.harmonics import start_harmonics
 from .initialise.hull import HullMesh
 from .initialise.openings import OpeningView, cut_openings
 from .initialise.sampling import mesh_area, sample_evenly, wanted_count
@@ -111,7 +112,7 @@ def prepare_training(
     if closed is not None:
         hull = _with_openings(hull, seen, frame, pixel, None if begun.points else offset)
     model = _start_model(hull, seen, pixel, parameters, device)
-    environment = start_environment(parameters.environment_resolution, device)
+    environment = start_environment(parameters, device)
     bank = PolariserBank(priors, sorted({s.camera.name for s in seen}), device) if mode == "polarisers" else None
     levels = [sources]
     if parameters.coarse_fraction > 0:
@@ -128,12 +129,15 @@ def _start_model(hull: HullMesh, seen: list[SourceView], pixel: float, parameter
     samples = sample_evenly(hull, count, np.random.default_rng(parameters.seed))
     model = SplatModel.from_samples(samples, START_ALBEDO, START_ROUGHNESS, START_IOR, device)
     _tint(model, seen)
+    if parameters.indirect == "sh":
+        start_harmonics(model)
     return model
 
 
-def start_environment(resolution: int, device: str = "cpu") -> Environment:
+def start_environment(parameters: TrainParameters, device: str = "cpu") -> Environment:
     """What a grey object of the start's albedo must be lit by to look as bright as the photographs do."""
-    return Environment(resolution, MEAN_EXPOSED / (BODY_SHARE * START_ALBEDO + MIRROR_SHARE), device)
+    radiance = MEAN_EXPOSED / (BODY_SHARE * START_ALBEDO + MIRROR_SHARE)
+    return Environment(parameters.environment_resolution, radiance, device, parameters.environment_activation)
 
 
 def _with_openings(hull: HullMesh, seen: list[SourceView], frame: SceneFrame, pixel: float, offset: float | None) -> HullMesh:

@@ -30,11 +30,12 @@ def needed(capture: Capture, parameters: TrainParameters) -> Decision:
         "none": Decision(False, "RGB only"),
     }[mode]
     angles = Decision(bool(unknown), ", ".join(map(known, unknown)) if unknown else "no unknown polariser angle")
-    occlusion = Decision(parameters.occlusion, "decided from the trained shape" if parameters.occlusion else "switched off")
+    off = parameters.indirect == "none"
+    indirect = Decision(not off, "switched off" if off else f"{parameters.indirect}, if the trained shape hides any of itself")
     why = "switched on" if parameters.concavities == "on" else "full Stokes tells hollows from the hull"
     why_not = "switched off" if parameters.concavities == "off" else "only full Stokes is evidence enough"
     concavities = Decision(True, why) if parameters.searches_concavities(mode) else Decision(False, why_not)
-    passes = {"polarisation_loss": polarised, "polariser_angles": angles, "occlusion": occlusion, "concavities": concavities}
+    passes = {"polarisation_loss": polarised, "polariser_angles": angles, "indirect": indirect, "concavities": concavities}
     return Decision(True, f"{len(capture.views)} views of one object", passes)
 
 

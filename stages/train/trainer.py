@@ -16,7 +16,7 @@ from .scene import Scene
 from .schedule import STEP_RULES, Phase, epoch_order, phase_at
 from .splats.albedo_light_scale import ScaleStep
 from .splats.optimiser import SurfaceAdam
-from .upkeep import CYCLE, REFRESH, Upkeep
+from .upkeep import REFRESH, Upkeep
 from .views.angle_fit import AngleFit, fit_angles
 from .views.source_views import Mode
 from .views.training_frame import SceneFrame
@@ -73,7 +73,8 @@ class Trainer:
         """Move everything along the gradients that a rendering's loss has left."""
         raster, scene = rendered.gbuffer.raster, self.scene
         self.upkeep.activity.add(rendered.gbuffer.rows, raster.screen_gradient, raster.visible)
-        self.scale_step.step(scene.environment.raw, scene.model["albedo"], phase.rates[""])
+        if self.parameters.environment_activation == "exponential":
+            self.scale_step.step(scene.environment.raw, scene.model["albedo"], phase.rates[""])
         self.adam.step(scene.tensors(), phase.rates, scene.graph, phase.diffusion)
 
     def phase(self, iteration: int) -> Phase:
@@ -91,7 +92,7 @@ class Trainer:
         """Go on at the last phase: every view, falling learning rates."""
         p = self.parameters
         start = int(p.iterations * (1 - p.consolidate_fraction))
-        self.iteration = max(self.iteration, start // CYCLE * CYCLE)
+        self.iteration = max(self.iteration, start // self.upkeep.period * self.upkeep.period)
 
     @torch.no_grad()
     def validate(self) -> float:
@@ -117,7 +118,7 @@ class Trainer:
                 bank.set_angle(name, fit.angle)
 
     def state(self) -> dict[str, Any]:
-        """Everything the next step depends on. Call it at a CYCLE boundary: graph and occlusion are rebuilt there."""
+        """Everything the next step depends on. Call it at a multiple of `Upkeep.period`: what is derived is rebuilt there."""
         return {
             "iteration": self.iteration,
             "scene": self.scene.state(),

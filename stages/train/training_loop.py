@@ -12,7 +12,6 @@ from pipeline.engine.progress import Bar
 
 from . import checkpoint
 from .trainer import Trainer
-from .upkeep import CYCLE
 
 if TYPE_CHECKING:
     from pipeline.engine.stage import StageRun
@@ -35,7 +34,7 @@ class History:
 def optimise(trainer: Trainer, stage: StageRun, started: float) -> History:
     """Run the schedule to its end, to the time limit, or until validation stops gaining; then consolidate.
 
-    An interrupt keeps the state of the last CYCLE boundary, from where the next run goes on.
+    An interrupt keeps the state of the last multiple of `Upkeep.period`, from where the next run goes on.
     """
     parameters, history = trainer.parameters, History()
     saved = checkpoint.load(stage.scratch, stage.progress.say)
@@ -48,7 +47,7 @@ def optimise(trainer: Trainer, stage: StageRun, started: float) -> History:
         while trainer.iteration < parameters.iterations:
             now = time.monotonic()
             history.wall_s = earlier + now - started
-            if trainer.iteration % CYCLE == 0:
+            if trainer.iteration % trainer.upkeep.period == 0:
                 packed = checkpoint.pack({"trainer": trainer.state(), "history": vars(history)})
                 if now - last_saved > parameters.checkpoint_s:
                     checkpoint.write(stage.scratch, packed)
@@ -92,7 +91,7 @@ def advance(trainer: Trainer, history: History, bar: Bar) -> None:
 def should_stop(trainer: Trainer, history: History) -> bool:
     """Whether refining further is pointless or out of time (never twice, never while images are still coarse)."""
     p = trainer.parameters
-    if history.stopped_at >= 0 or trainer.iteration % CYCLE:
+    if history.stopped_at >= 0 or trainer.iteration % trainer.upkeep.period:
         return False
     phase = trainer.phase(trainer.iteration)
     if p.max_minutes > 0 and history.wall_s > 60 * p.max_minutes * (1 - p.consolidate_fraction):

@@ -7,6 +7,7 @@ from typing import Any
 
 import torch
 
+from .indirect.substitutes import GRIDMAP_EVERY
 from .parameters import TrainParameters
 from .renderer import Renderer
 from .scene import Scene
@@ -16,7 +17,7 @@ from .views.source_views import Mode
 from .views.view import View
 
 REFRESH = 100  # steps between rebuilding the surface graph: splats move by a fraction of their spacing meanwhile
-CYCLE = 2 * REFRESH  # steps between densification, tracing and checkpoints: nothing traced has to be saved then
+CYCLE = 2 * REFRESH  # steps between densifications, and between tracings where no other period is named
 DENSIFY_UNTIL = 0.6  # share of the run after which the splats stay as they are
 MOST_REMOVED = 0.5  # share of the splats from which on none is removed: the images are then at fault, not the splats
 OCCLUSION_FROM = 200  # steps before the first tracing: the light and the albedo must mean something
@@ -54,6 +55,11 @@ class Upkeep:
         self.hollowed: list[float] = []
         self.forget_activity()
 
+    @property
+    def period(self) -> int:
+        """Steps between two tracings, and between checkpoints: nothing traced has to be saved then."""
+        return GRIDMAP_EVERY if self.parameters.indirect == "gridmap" else CYCLE
+
     def forget_activity(self) -> None:
         """Begin to count anew."""
         model = self.scene.model
@@ -70,11 +76,9 @@ class Upkeep:
     def refresh(self, iteration: int, views: Sequence[View], level: int) -> None:
         """What is due before step `iteration`, a multiple of REFRESH; `views` of the pyramid level in use are traced."""
         self.scene.link_neighbours()
-        if iteration % CYCLE:
-            return
-        if iteration > 0:
+        if iteration % CYCLE == 0 and iteration > 0:
             self.densify(iteration)
-        traces = self.parameters.occlusion and iteration >= OCCLUSION_FROM
+        traces = self.parameters.indirect != "none" and iteration >= OCCLUSION_FROM and iteration % self.period == 0
         if traces:
             self.renderer.trace(views, level)
         for _ in range(ROUNDS if self.looks_for_concavities(iteration) else 0):

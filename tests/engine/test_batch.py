@@ -186,6 +186,28 @@ def test_a_list_names_captures_by_paths_and_equal_names_are_told_apart(tmp_path)
         places_of(tmp_path / "gone")
 
 
+def test_nothing_is_written_behind_links_that_were_left_beside_the_datasets(batch, tmp_path):
+    outside = tmp_path / "outside"
+    outside.mkdir()
+    (tmp_path / "out" / ".batch" / "logs" / "c1").mkdir(parents=True)
+    (tmp_path / "out" / ".batch" / "logs" / "c1" / "count.log").symlink_to(outside / "log")
+    (tmp_path / "out" / ".batch" / "logs" / "c2").symlink_to(outside)
+    (tmp_path / "out" / "c3").symlink_to(outside)
+    assert batch().status == 1 and list(outside.iterdir()) == []
+    assert {c["state"] for c in table().values()} <= {"failed", "unreadable"}
+    (tmp_path / "out" / ".batch").rename(tmp_path / "aside")
+    (tmp_path / "out" / ".batch").symlink_to(outside)
+    done = batch()
+    assert done.status == 2 and "is a link" in done.err and list(outside.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", [".batch", "batch.json", "/", "\udcff"])
+def test_a_name_that_a_batch_keeps_or_no_file_has_is_refused(tmp_path, name):
+    (tmp_path / "list.txt").write_bytes(os.fsencode(name) + b"\n")
+    with pytest.raises(UserError):
+        places_of(tmp_path / "list.txt")
+
+
 def test_a_batch_is_not_written_into_a_capture(refused, tmp_path):
     (tmp_path / "captures" / "c1").mkdir(parents=True)
     (tmp_path / "captures" / "c1" / "number.txt").write_text("1")

@@ -7,21 +7,40 @@ import subprocess
 import sys
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from pipeline.engine.stage import parameters_from
+from stages.relight.mesh_shadows import TRANSFER_TEXELS
+from stages.relight.parameters import RelightParameters
 from stages.train.parameters import TrainParameters
+from stages.train.stage import STAGE
 
 ROOT = Path(__file__).parents[2]
-TRAIN = json.loads((ROOT / "benchmarks" / "results" / "train.json").read_text(encoding="utf-8"))
+RESULTS = ROOT / "benchmarks" / "results"
+
+
+def stored(name: str) -> dict[str, Any]:
+    """A benchmark's results; of one that has not been run, none."""
+    path = RESULTS / f"{name}.json"
+    return json.loads(path.read_text(encoding="utf-8")) if path.exists() else {"captures": {}}
+
+
+TRAIN, LIGHT, ABLATION = (stored(name) for name in ("train", "light", "ablation"))
+ROWS = [(capture, row) for capture, rows in ABLATION["captures"].items() for row in rows]
+
+
+def changed(then: dict[str, Any], now: dict[str, Any]) -> dict[str, list[Any]]:
+    """[then, now] of what differs, by name; null where there is none of that name."""
+    return {name: [then.get(name), now.get(name)] for name in then | now if then.get(name) != now.get(name)}
 
 
 @pytest.mark.parametrize("capture", sorted(TRAIN["captures"]))
 def test_stored_trainings_say_which_defaults_have_changed_since(capture):
     """`defaults_since`: [then, now] by parameter; null where there is none of that name."""
-    then, now = TRAIN["captures"][capture]["stokes"]["parameters"], asdict(TrainParameters())
-    changed = {name: [then.get(name), now.get(name)] for name in then | now if then.get(name) != now.get(name)}
-    assert TRAIN.get("defaults_since", {}) == changed, "run `make bench-train`, or say in the file what has changed"
+    since = changed(TRAIN["captures"][capture]["stokes"]["parameters"], asdict(TrainParameters()))
+    assert TRAIN.get("defaults_since", {}) == since, "run `make bench-train`, or say in the file what has changed"
 
 
 @pytest.mark.parametrize("capture", sorted(TRAIN["captures"]))
@@ -30,6 +49,23 @@ def test_a_piece_that_was_changed_changed_something(capture):
     figures = {name: [{k: v for k, v in row.items() if k != "train_s"} for row in run["curve"]] for name, run in runs.items()}
     same = [name for name, curve in figures.items() if name != "all pieces" and curve == figures["all pieces"]]
     assert same == [], "these rows switch nothing off: leave them out"
+
+
+@pytest.mark.parametrize(("capture", "row"), ROWS)
+def test_stored_rows_of_the_ablation_say_which_defaults_have_changed_since(capture, row):
+    kept = ABLATION["captures"][capture][row]
+    given = {name: str(value) for name, value in kept["given"].items()}
+    now = asdict(parameters_from(STAGE, given, "ablation.json"))
+    since = changed(kept["parameters"], now)
+    assert ABLATION.get("defaults_since", {}).get(row, {}) == since, "run `make bench-ablation`, or say what has changed"
+
+
+def test_stored_errors_of_light_were_measured_with_what_relighting_does_today():
+    relight = RelightParameters()
+    now = {"cube": relight.cube, "mirror": relight.mirror, "transfer": TRANSFER_TEXELS, "lobe": TrainParameters().lobe}
+    then = {name: LIGHT["settings"][name] for name in now}
+    assert LIGHT.get("defaults_since", {}) == changed(then, now), "run `make bench-light`, or say what has changed"
+    assert all(found["choices"] for found in LIGHT["captures"].values())
 
 
 def test_the_pages_of_figures_say_what_the_stored_results_say():

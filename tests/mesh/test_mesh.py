@@ -22,7 +22,7 @@ from stages.mesh.clean import Mesh, boundary_loops, fill_holes, in_fixed_order, 
 from stages.mesh.fusion import Volume, measure
 from stages.mesh.outline import outline_gap, outline_length
 from stages.mesh.parameters import MeshParameters
-from stages.relight.turntable import read_baked_mesh
+from stages.relight.mesh_images import read_baked_mesh
 
 
 def fuse(views) -> Mesh:

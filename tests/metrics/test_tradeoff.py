@@ -22,9 +22,9 @@ def test_only_parameters_of_stages_that_ran_are_tried_and_none_with_its_present_
 
 
 def test_a_pass_that_the_run_left_out_is_not_tried():
-    parameters = {"train": {"iterations": 900, "occlusion": True}}
-    assert "train.occlusion" in {t.parameter for t in trials(parameters)}
-    assert "train.occlusion" not in {t.parameter for t in trials(parameters, ["train.occlusion"])}
+    parameters = {"train": {"iterations": 900, "indirect": "traced"}}
+    assert "train.indirect" in {t.parameter for t in trials(parameters)}
+    assert "train.indirect" not in {t.parameter for t in trials(parameters, ["train.indirect"])}
 
 
 def test_steps_are_whole_and_relative_to_the_run_s_own():
@@ -41,7 +41,7 @@ def test_errors_of_decibels_fall_as_they_rise_and_only_shared_figures_count():
 
 
 def test_the_pareto_curve_leaves_out_what_another_run_beats():
-    worse = Measured({"train.occlusion": False}, {"train": 90.0}, 1.4)
+    worse = Measured({"train.indirect": "none"}, {"train": 90.0}, 1.4)
     assert [r.error for r in pareto([BASE, *SINGLES, worse])] == [1.3, 1.1, 1.05, 1.0, 0.9]
 
 

@@ -49,8 +49,8 @@ def gbuffer(camera: Camera, mesh) -> dict[str, np.ndarray]:
 def relit(tmp_path):
     """Function that lays out a dataset of two views, with a given up axis, and relights it."""
 
-    def go(up: str = "y", occlusion: bool = False, with_mask: bool = False, **parameters):
-        root = tmp_path / f"{up}{occlusion}{with_mask}"
+    def go(up: str = "y", occlusion: bool = False, with_mask: bool = False, learnt: bool = True, **parameters):
+        root = tmp_path / f"{up}{occlusion}{with_mask}{parameters.get('indirect')}"
         turn = Y_UP_FROM[up]  # y-up frame from this world
         shape = vase(48, 36)
         mesh = (shape.vertices @ turn, shape.faces, shape.normals @ turn)
@@ -65,6 +65,8 @@ def relit(tmp_path):
         save_cameras(poses / "cameras.json", cameras)
         for name, camera in cameras.items():
             write_exr(train / "gbuffer" / f"{name}.exr", gbuffer(camera, mesh))
+            if learnt:
+                write_exr(train / "indirect" / f"{name}.exr", dict.fromkeys("RGB", np.full((SIZE, SIZE), 3, np.float32)))
         facts = {"schema": 1, "up": up, "fresnel": "exact", "lobe": "ggx", "occlusion": occlusion}
         (train / "lighting.json").write_text(json.dumps(facts))
         write_rgb(root / "sky.hdr", meadow(32))
@@ -109,7 +111,7 @@ def test_every_view_is_lit_and_black_outside_the_object(relit):
         assert (stokes[alpha == 1][:, 0] > 0).all()
         assert np.isfinite(stokes).all()
         assert (run.output / "sky" / f"{name}.png").exists()
-    assert run.facts["occlusion"]["run"] is False
+    assert run.facts["indirect"]["run"] is False
 
 
 @pytest.mark.slow
@@ -133,10 +135,34 @@ def test_self_occlusion_darkens_the_bowl_and_brightens_nothing_by_much(relit):
     free = read_stokes(relit().output / "sky" / "v1.exr")[:, :, 0]
     run = relit(occlusion=True)
     shadowed = read_stokes(run.output / "sky" / "v1.exr")[:, :, 0]
-    assert run.facts["occlusion"]["run"] is True
+    assert run.facts["indirect"]["run"] is True
     assert shadowed.sum() < 0.99 * free.sum()  # bounces give back most of what is shadowed
     assert (shadowed < 0.7 * free).any()
     assert (shadowed <= 1.3 * free + 0.02).all()
+
+
+@pytest.mark.slow
+def test_every_kind_of_indirect_light_can_be_asked_for(relit):
+    images = {}
+    for kind in ("none", "gridmap", "sh", "traced"):
+        run = relit(occlusion=True, indirect=kind)
+        assert run.facts["indirect"]["run"] == (kind != "none")
+        images[kind] = read_stokes(run.output / "sky" / "v1.exr")[:, :, 0].sum(-1)
+    shown = images["none"] > 0
+    there = {kind: (image != images["none"])[shown].mean() for kind, image in images.items()}
+    assert there["gridmap"] == 1 and there["traced"] > 0.3  # GridMap replaces all diffuse light
+    assert 0 < there["sh"] < 0.3  # and harmonics only what the mirror ray does not reach: 0.06
+    assert 0.6 < images["gridmap"].sum() / images["none"].sum() < 1.4  # 0.91
+
+
+def test_indirect_light_is_as_in_training_unless_it_is_named(relit):
+    assert relit(occlusion=True).facts["indirect"]["reason"].startswith("traced")
+    assert relit().facts["indirect"]["reason"] == "training saw no self-occlusion"
+
+
+def test_harmonics_that_training_has_not_learnt_are_refused(relit):
+    with pytest.raises(UserError, match=r"train\.indirect=sh"):
+        relit(occlusion=True, indirect="sh", learnt=False)
 
 
 @pytest.mark.slow
@@ -188,6 +214,7 @@ def test_outlines_show_the_surfaces_of_the_mesh_and_not_the_blend_of_the_gbuffer
     channels = read_exr(path)
     alpha = channels["alpha"]
     rim = (alpha > 0) & ~interior(alpha > 0)
+    steady = ~rim & ~blended(np.stack([channels[f"N.{c}"] for c in "XYZ"], -1))
     for k, name in enumerate(("N.X", "N.Y", "N.Z")):  # as where the sun meets the blend of a front and a back
         channels[name][rim] = (0.6, 0.62, 0.5)[k] / np.linalg.norm((0.6, 0.62, 0.5))
     channels["alpha"][rim] = 0.5
@@ -197,8 +224,8 @@ def test_outlines_show_the_surfaces_of_the_mesh_and_not_the_blend_of_the_gbuffer
     met = rim & (got.max(-1) > 0)
     assert met.sum() > 0.9 * rim.sum()
     assert np.abs(2 * got - right)[met].mean() < 0.25 * right[met].mean()
-    inner = interior(interior(alpha > 0))
-    assert np.abs(got - right)[inner].max() < 1e-5
+    steady &= ~blended(np.stack([channels[f"N.{c}"] for c in "XYZ"], -1))
+    assert np.abs(got - right)[steady].max() < 1e-5
 
 
 def test_silhouettes_are_part_empty_at_the_masks_edge_and_blends_lie_between_normals_that_differ():

@@ -20,6 +20,7 @@ from stages.metrics import report
 from stages.metrics.report import rig_pictures
 from stages.metrics.report.figures import headlines, tables, text_of
 from stages.metrics.report.page import cost_rows, offset_fact, training_curves
+from stages.metrics.report.viewer import page as viewer_page
 from synth.orbit import look_at, orbit
 
 REPORT = Path(report.__file__).parent
@@ -31,6 +32,7 @@ def context(**changes):
         "environment": [], "relit": [], "olat": [], "lobe": {}, "curves": [],
         "costs": cost_rows({"train": {"wall_s": 71.0, "peak_rss_mb": 1200, "outputs": []}}),
         "tables": [], "warnings": [("decode", "<script>alert(1)</script>")], "parameters": {}, "packages": {},
+        "scene": None, "scene_text": "null", "script": viewer_page.script(), "viewer_style": viewer_page.style(),
     }  # fmt: skip
     return {**base, **changes}
 

@@ -1,4 +1,4 @@
-"""A rough, sunny environment and random surface points."""
+"""A rough, sunny environment, random surface points, a ball and a bowl."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from pipeline.geometry.occluder import Occluder
 from pipeline.shading import latlong
 
 
@@ -43,3 +44,26 @@ def _points(count: int, dtype: torch.dtype = torch.float32, seed: int = 0) -> li
 def points():
     """Factory of random surface points: `points(count, dtype, seed)`."""
     return _points
+
+
+def part_of_ball(n: int = 24, top: float = np.pi) -> tuple[np.ndarray, np.ndarray]:
+    """Unit sphere from the +y pole down to the polar angle `top`, outward triangles."""
+    theta, phi = np.meshgrid(np.linspace(0, top, n), np.arange(2 * n) * np.pi / n, indexing="ij")
+    v = np.stack((np.sin(theta) * np.sin(phi), np.cos(theta), np.sin(theta) * np.cos(phi)), -1).reshape(-1, 3)
+    i, j = (x.ravel() for x in np.meshgrid(np.arange(n - 1), np.arange(2 * n), indexing="ij"))
+    a, b = i * 2 * n + j, i * 2 * n + (j + 1) % (2 * n)
+    return v, np.concatenate((np.stack((a, a + 2 * n, b), -1), np.stack((b, a + 2 * n, b + 2 * n), -1)))
+
+
+@pytest.fixture(scope="session")
+def ball() -> Occluder:
+    v, f = part_of_ball()
+    return Occluder(v, f, v)
+
+
+@pytest.fixture(scope="session")
+def bowl() -> Occluder:
+    """Inside of a half sphere that opens towards +y."""
+    v, f = part_of_ball(40, np.pi / 2)
+    v = v * [1, -1, 1]
+    return Occluder(v, f, -v)

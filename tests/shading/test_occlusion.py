@@ -1,47 +1,15 @@
-"""Self-occlusion: closed forms of simple shapes, energy, gradients, and GridMap's geometry."""
+"""Self-occlusion: closed forms of simple shapes, energy, gradients."""
 
 import numpy as np
 import pytest
 import torch
 
 from pipeline.geometry.occluder import Occluder, simplified, tangent_frames
-from pipeline.optics.sphere import hemisphere_rule
-from pipeline.shading import Prefilter, latlong, shade
-from pipeline.shading.gridmap import WEIGHTS, GridMap, anchors
+from pipeline.shading import latlong
+from pipeline.shading.occluded import blocked_share
 from pipeline.shading.transfer import Transfer
 
-
-def _ball(n: int = 24, top: float = np.pi) -> tuple[np.ndarray, np.ndarray]:
-    """Unit sphere from the +y pole down to the polar angle `top`, outward triangles."""
-    theta, phi = np.meshgrid(np.linspace(0, top, n), np.arange(2 * n) * np.pi / n, indexing="ij")
-    v = np.stack((np.sin(theta) * np.sin(phi), np.cos(theta), np.sin(theta) * np.cos(phi)), -1).reshape(-1, 3)
-    i, j = (x.ravel() for x in np.meshgrid(np.arange(n - 1), np.arange(2 * n), indexing="ij"))
-    a, b = i * 2 * n + j, i * 2 * n + (j + 1) % (2 * n)
-    return v, np.concatenate((np.stack((a, a + 2 * n, b), -1), np.stack((b, a + 2 * n, b + 2 * n), -1)))
-
-
-def blocked_share(occluder: Occluder, samples: int = 500) -> float:
-    """Share of cosine-weighted light that the mesh takes from itself, averaged over `samples` vertices."""
-    chosen = np.random.default_rng(0).choice(len(occluder.vertices), min(samples, len(occluder.vertices)), replace=False)
-    local, weight = hemisphere_rule(4, 16)
-    world = np.einsum("ka,pab->pkb", local, tangent_frames(occluder.normals[chosen]))
-    origins = occluder.vertices[chosen] + occluder.lift * occluder.normals[chosen]
-    blocked = occluder.blocked(np.broadcast_to(origins[:, None], world.shape), world)
-    return float((blocked * (weight * local[:, 2])).sum(-1).mean() / np.pi)
-
-
-@pytest.fixture(scope="module")
-def ball() -> Occluder:
-    v, f = _ball()
-    return Occluder(v, f, v)
-
-
-@pytest.fixture(scope="module")
-def bowl() -> Occluder:
-    """Inside of a half sphere that opens towards +y."""
-    v, f = _ball(40, np.pi / 2)
-    v = v * [1, -1, 1]
-    return Occluder(v, f, -v)
+from .conftest import part_of_ball
 
 
 def test_a_convex_object_occludes_nothing(ball):
@@ -111,46 +79,8 @@ def test_an_environment_coarser_than_the_transfer_is_refused(ball):
         Transfer(ball, np.ones((len(ball.vertices), 3))).light(torch.ones(6, 4, 4, 3))
 
 
-def test_gridmap_has_52_anchors_on_the_enlarged_box_and_none_inside_its_bottom():
-    points = anchors(np.asarray([[-1.0, 0.0, -2.0], [1.0, 3.0, 2.0]]))
-    assert points.shape == (52, 3) and len(np.unique(points, axis=0)) == 52
-    np.testing.assert_allclose(np.abs(points[:, 0]).max(), 1.1)
-    on_bottom = points[np.isclose(points[:, 1], points[:, 1].min())]
-    assert len(on_bottom) == 12
-
-
-@pytest.mark.slow
-def test_gridmap_weights_favour_the_near_by_default_and_the_far_as_printed(ball):
-    albedo = np.ones((len(ball.vertices), 3))
-    point = torch.as_tensor(ball.vertices[:1])
-    for name in WEIGHTS:
-        grid = GridMap(ball, albedo, resolution=4, weights=name)
-        weight = grid.blend(point)[0]
-        assert float(weight.sum()) == pytest.approx(1, abs=1e-5)
-        distance = np.linalg.norm(grid.anchors - ball.vertices[0], axis=1)
-        nearest = weight[distance.argmin()] > weight[distance.argmax()]
-        assert bool(nearest) == (name == "inverse-square")
-    with pytest.raises(ValueError, match="cubic"):
-        GridMap(ball, albedo, weights="cubic")
-
-
-@pytest.mark.slow
-def test_gridmap_returns_the_environment_where_the_object_shines_like_it(ball, points):
-    # Under a white sky an albedo of 1/A0^2 makes the object as bright as the sky.
-    grid = GridMap(ball, np.full((len(ball.vertices), 3), 1 / 0.9082220**2), resolution=8)
-    radiance = torch.ones(6, 16, 16, 3)
-    field = Prefilter(16).apply(radiance)
-    at = torch.as_tensor(ball.vertices[:40])
-    arguments = points(40)
-    arguments[0] = at
-    local = grid.light(radiance, field)
-    occlusion = grid.occlusion(at, at, arguments[1], arguments[3].clamp(0.1, 1), local)
-    got, want = shade(*arguments, field, occlusion=occlusion).stokes, shade(*arguments, field).stokes
-    torch.testing.assert_close(got, want, rtol=2e-3, atol=1e-4)
-
-
 def test_simplified_mesh_keeps_its_shadows():
-    v, f = _ball(40, np.pi / 2)
+    v, f = part_of_ball(40, np.pi / 2)
     v2, f2 = simplified(v * [1, -1, 1], f, 1000)
     assert len(f2) <= 1000
     coarse = Occluder(v2, f2[:, ::-1])
@@ -170,6 +100,6 @@ def test_environment_suns_reach_the_transfer_level():
     image = np.zeros((64, 128, 3))
     image[20, 40] = 1e4
     texels = torch.as_tensor(latlong.to_cube(image, 32), dtype=torch.float32)
-    v, f = _ball()
+    v, f = part_of_ball()
     transfer = Transfer(Occluder(v, f, v), np.ones((len(v), 3)))
     assert torch.isfinite(transfer.light(texels).leaving).all() and transfer.light(texels).leaving.max() > 0

@@ -242,7 +242,9 @@ def dented_sources(size: int = 64, count: int = 24) -> list[SourceView]:
     return sources
 
 
-def dent_trainer(sources: list[SourceView], concavities: Literal["on", "off"], occlusion: bool = False) -> Trainer:
+def dent_trainer(
+    sources: list[SourceView], concavities: Literal["on", "off"], indirect: Literal["traced", "none"] = "none"
+) -> Trainer:
     """A small training of it, not begun."""
     torch.set_num_threads(1)
     parameters = TrainParameters(
@@ -250,7 +252,7 @@ def dent_trainer(sources: list[SourceView], concavities: Literal["on", "off"], o
         max_splats=2500,
         hull_resolution=48,
         environment_resolution=16,
-        occlusion=occlusion,
+        indirect=indirect,
         concavities=concavities,
     )
     start = prepare_training(sources, "stokes", {}, "y", parameters, "cpu")
@@ -279,11 +281,11 @@ def test_training_finds_a_dent_that_no_silhouette_shows():
 @pytest.mark.slow
 def test_a_run_resumed_at_a_concavity_is_the_same_run(tmp_path):
     sources = dented_sources(size=48, count=16)
-    trainer = dent_trainer(sources, "on", occlusion=True)
+    trainer = dent_trainer(sources, "on", indirect="traced")
     for _ in range(400):
         trainer.step()
     checkpoint.save(tmp_path, {"trainer": trainer.state()})
-    resumed = dent_trainer(sources, "on", occlusion=True)
+    resumed = dent_trainer(sources, "on", indirect="traced")
     saved = checkpoint.load(tmp_path)
     assert saved is not None
     resumed.load(saved["trainer"])

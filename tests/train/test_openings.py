@@ -91,7 +91,7 @@ def test_a_bowl_stays_open_and_shows_the_normals_of_its_inside():
         sources.append(SourceView(name, split, camera, stokes.astype(np.float32), full, np.ones(full.shape, bool)))
         truths[name] = bowl_view(camera, light)[2]
     parameters = TrainParameters(
-        iterations=900, max_splats=2000, hull_resolution=48, environment_resolution=16, occlusion=False, concavities="off"
+        iterations=900, max_splats=2000, hull_resolution=48, environment_resolution=16, indirect="none", concavities="off"
     )
     start = prepare_training(sources, "stokes", {}, "y", parameters, "cpu")
     assert any(view.openings > 0.05 for view in start.pyramids[0])

@@ -25,7 +25,7 @@ SMALL = TrainParameters(
     max_splats=1200,
     hull_resolution=40,
     environment_resolution=16,
-    occlusion=False,
+    indirect="none",
 )
 
 
@@ -67,7 +67,7 @@ def test_training_improves_images_and_normals(make_sources):
 @pytest.mark.slow
 def test_a_resumed_run_is_the_same_run(make_sources, tmp_path):
     sources = make_sources(32, 12)
-    parameters = replace(SMALL, iterations=600, occlusion=True)  # densification and tracing fall on the seam
+    parameters = replace(SMALL, iterations=600, indirect="traced")  # densification and tracing fall on the seam
     straight = trained(sources, CYCLE + 130, parameters=parameters)
     first = trained(sources, CYCLE, parameters=parameters)
     checkpoint.save(tmp_path, {"trainer": first.state()})

@@ -12,6 +12,7 @@ from pipeline.capture.naming.safe_names import fault_of_name
 from pipeline.errors import UserError
 
 MAPS = ("envmaps",)  # beside captures: maps that they share
+RESERVED = ("batch.json", "batch.html")
 DEEPEST = 3  # folders between the batch's folder and a capture
 
 
@@ -86,6 +87,7 @@ def _named(captures: list[Path], root: Path) -> list[Place]:
         for path in same:
             depth[path] += 1
     for path, name in names.items():
-        if fault := fault_of_name(name):
+        fault = "is one that a batch keeps for itself" if name.startswith(".") or name in RESERVED else fault_of_name(name)
+        if fault:
             raise UserError(path, f"its name {fault}, and its dataset is named after it", "rename the folder")
     return [Place(names[path], path) for path in captures]

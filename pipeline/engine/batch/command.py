@@ -48,7 +48,7 @@ def batch(program: Program, options: argparse.Namespace, stages: Mapping[str, St
         if options.snakemake is not None:
             rows = _by_snakemake(rows, plan, own, options)
         elif not options.slurm:
-            SideBySide(rows, options.jobs, _memory_mb(options), own / "logs", Progress(quiet=options.quiet)).run()
+            SideBySide(rows, options.jobs, _memory_mb(options), own, Progress(quiet=options.quiet)).run()
         _put_to_use(rows)
     finally:
         page = write_table(rows, folder, program.report, time.monotonic() - started)
@@ -68,7 +68,8 @@ def planned(program: Program, options: argparse.Namespace, stages: Mapping[str, 
             raise UserError(folder, f"lies inside the capture {place.capture}", "give DATASET= a folder outside of it")
     maps = given_settings(options.params, options.envs, {}, "all", stages).environments
     folder.mkdir(parents=True, exist_ok=True)
-    refuse_links(folder, folder / OWN)
+    for name in ("logs", "faults", "made", "cache", ".snakemake"):
+        refuse_links(folder, folder / OWN / name)
     shared = DigestCache(folder / OWN / "digests.json")
     shared.digests(folder, [path for path in maps if path.is_file()])
     rows = [row_of(place, folder / place.name, program, options, stages, shared) for place in places]

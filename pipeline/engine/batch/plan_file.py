@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from pipeline.engine.batch.logs import log_file, open_log
 from pipeline.engine.batch.row import Row
 from pipeline.engine.batch.side_by_side import THREADS, last_words
 from pipeline.engine.child import stage_command
@@ -79,14 +80,13 @@ def run_job(arguments: Sequence[str], main: Any) -> int:
     plan = read_plan(path)
     row = plan["rows"][number]
     own = path.parent
-    log = own / "logs" / row["name"] / f"{stage}.log"
+    log = log_file(own, row["name"], stage)
     if (told := told_fault(own, row["name"], plan["id"])) is not None:
         print(f"polarfield: {told}", file=sys.stderr)
         return REFUSED
-    log.parent.mkdir(parents=True, exist_ok=True)
     for name in THREADS:
         os.environ.setdefault(name, str(plan["cores"]))
-    with log.open("ab") as stream:
+    with open_log(own, row["name"], stage, anew=False) as stream:
         sys.stdout.flush()
         sys.stderr.flush()
         for handle in (1, 2):

@@ -12,6 +12,7 @@ from pipeline.engine.batch.captures import Place
 from pipeline.engine.call import Call, describe, open_call
 from pipeline.engine.changes import State, states
 from pipeline.engine.dataset import Dataset, DigestCache
+from pipeline.engine.dataset.links import refuse_links
 from pipeline.engine.places import refuse_another_capture
 from pipeline.engine.plan import Step, make_plan
 from pipeline.engine.program import Program
@@ -96,6 +97,7 @@ def row_of(
     row = Row(place, root)
     one = argparse.Namespace(**{**vars(options), "command": "all", "capture": str(place.capture), "dataset": str(root)})
     try:
+        refuse_links(root.parent, root)
         row.call = call = open_call(program, one, stages)
         call.dataset.digests.take(maps)
         row.steps = make_plan(call.capture, stages, call.settings.parameters, call.capture.environments, call.dataset.digests)

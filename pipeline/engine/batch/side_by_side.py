@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from pipeline.engine.batch.logs import log_file, open_log
 from pipeline.engine.batch.row import Row
 from pipeline.engine.child import ended_by_signal, stage_command, stage_environment
 from pipeline.engine.interrupts import GRACE_S, in_child
@@ -42,8 +43,8 @@ class SideBySide:
     The first of each stage runs alone among its kind: it compiles the kernels that the others load.
     """
 
-    def __init__(self, rows: list[Row], jobs: int, memory_mb: float, logs: Path, progress: Progress) -> None:
-        self.rows, self.jobs, self.memory_mb, self.logs, self.progress = rows, jobs, memory_mb, logs, progress
+    def __init__(self, rows: list[Row], jobs: int, memory_mb: float, own: Path, progress: Progress) -> None:
+        self.rows, self.jobs, self.memory_mb, self.own, self.progress = rows, jobs, memory_mb, own, progress
         self.running: dict[int, Work] = {}
         self.compiled: set[str] = set()
         self.tries: dict[tuple[str, str], int] = {}
@@ -93,10 +94,10 @@ class SideBySide:
         try:
             if not row.begun:
                 row.begin()
-            log = self.logs / row.place.name / f"{step.stage.name}.log"
-            log.parent.mkdir(parents=True, exist_ok=True)
-            with log.open("wb") as stream:
-                command = stage_command(row.call, step.stage.name, jobs=1)
+            name = step.stage.name
+            log = log_file(self.own, row.place.name, name)
+            with open_log(self.own, row.place.name, name, anew=True) as stream:
+                command = stage_command(row.call, name, jobs=1)
                 process = subprocess.Popen(
                     command, env=self.environment, preexec_fn=in_child, stdout=stream, stderr=stream, stdin=subprocess.DEVNULL
                 )

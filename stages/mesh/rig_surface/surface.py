@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,8 +39,18 @@ class Hull:
 
 
 def silhouettes_of(views: Sequence[MapView]) -> list[Silhouette]:
-    """The views' masks with their cameras."""
-    return [Silhouette(v.camera, v.mask.astype(np.float32)) for v in views]
+    """The views' masks with their cameras, and empty frame about each, as wide as the mask is large, on the sides that it does
+    not reach: views are cut to the object, and what lies beside it is off it."""
+    return [_with_empty_border(view) for view in views]
+
+
+def _with_empty_border(view: MapView) -> Silhouette:
+    mask, reach = view.mask.astype(np.float32), max(view.mask.shape)
+    sides = (mask[0], mask[-1], mask[:, 0], mask[:, -1])
+    top, bottom, left, right = (0 if side.any() else reach for side in sides)
+    c = view.camera
+    camera = replace(c, width=c.width + left + right, height=c.height + top + bottom, cx=c.cx + left, cy=c.cy + top)
+    return Silhouette(camera, np.pad(mask, ((top, bottom), (left, right))))
 
 
 def hull_of(silhouettes: Sequence[Silhouette], resolution: int) -> Hull:

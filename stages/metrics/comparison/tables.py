@@ -66,7 +66,7 @@ def parameter_lines(results: Sequence[Result]) -> list[Line]:
 
 def _flat(metrics: Mapping[str, Any]) -> dict[tuple[str, str], float]:
     """(stage or "relight NAME", figure) -> number."""
-    out = {}
+    out: dict[tuple[str, str], float] = {}
     for stage, table in metrics.items():
         if not isinstance(table, Mapping):
             continue

@@ -39,9 +39,9 @@ FACTORS = (
 )
 CHOICES = (
     ("train.mirror", (("split", 0.7), ("lobe-4", 0.8), ("lobe-24", 1.4))),
-    ("train.occlusion", ((False, 0.8),)),
+    ("train.indirect", (("none", 0.8),)),
     ("relight.mirror", (("split", 0.3), ("tree-coarse", 0.8), ("tree-fine", 1.5))),
-    ("relight.occlusion", (("off", 0.7),)),
+    ("relight.indirect", (("none", 0.7),)),
     ("olat.lights", (("every=2", 0.6), ("every=4", 0.4))),
     ("olat.lobe", (("ward", 0.9),)),
     ("olat.precision", (("float64", 1.8),)),
@@ -52,7 +52,7 @@ CUBES = (16, 512)
 
 
 def trials(parameters: Parameters, left_out: Iterable[str] = ()) -> list[Trial]:
-    """What to try for a run with these parameters; `left_out`: passes that the run decided against, as "train.occlusion"."""
+    """What to try for a run with these parameters; `left_out`: passes that the run decided against, as "train.indirect"."""
     out = []
     for name, factors in FACTORS:
         now = _of(parameters, name)

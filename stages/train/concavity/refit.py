@@ -8,10 +8,11 @@ from scipy.spatial import cKDTree
 
 from ..initialise.hull import HullMesh
 from ..initialise.sampling import mesh_area, sample_evenly
-from ..splats.gaussians import PER_SPLAT, SplatModel, logit
+from ..splats.gaussians import OPTIONAL, SplatModel, logit
 from ..splats.optimiser import SurfaceAdam
 from .hollow import DepthField
 
+INHERITED = ("albedo", "roughness_offset", "ior_offset", *OPTIONAL)  # by a new splat from the nearest old one
 OPACITY = 0.95  # as at the start
 COVERED = 0.8  # of the spacing: a new splat nearer to an old one than this would only repeat it
 
@@ -43,17 +44,17 @@ def refit(
     if len(bare) > left:
         bare = np.random.default_rng(seed).permutation(bare)[: max(left, 0)]
     model.select(rows)
-    adam.select(PER_SPLAT, rows)
+    adam.select(model.per_splat, rows)
     source = torch.as_tensor(nearest[bare], device=device)
-    new = {name: model[name].detach()[source] for name in ("albedo", "roughness_offset", "ior_offset")}
+    new = {name: model[name].detach()[source] for name in model.per_splat if name in INHERITED}
     points = torch.as_tensor(samples.points[bare], dtype=torch.float32, device=device)
     new |= {"anchor": points, "position": points}
     new["normal"] = torch.as_tensor(samples.normals[bare], dtype=torch.float32, device=device)
     scale = 0.5 * np.minimum(samples.spacing[bare], 2 * spacing)
     new["log_scale"] = torch.log(torch.as_tensor(scale, dtype=torch.float32, device=device))
     new["opacity"] = logit(OPACITY).to(device).expand(len(bare))
-    for name in PER_SPLAT:
+    for name in model.per_splat:
         old = model[name].detach() if name != "anchor" else model["position"].detach()
         model.tensors[name] = torch.cat([old, new[name]]).requires_grad_(True)
-    adam.append(PER_SPLAT, len(bare))
+    adam.append(model.per_splat, len(bare))
     return len(bare)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import torch
 
-from .gaussians import PER_SPLAT, SplatModel
+from .gaussians import SplatModel
 from .optimiser import SurfaceAdam
 from .surface_graph import SurfaceGraph
 
@@ -82,16 +82,16 @@ def split_edges(model: SplatModel, adam: SurfaceAdam, edges: torch.Tensor) -> No
     i, j = edges
     if len(i) == 0:
         return
-    for name in PER_SPLAT:
+    for name in model.per_splat:
         old = model.tensors[name].detach().clone()
         if name == "log_scale":
             old[edges.reshape(-1)] += torch.log(torch.tensor(SHRINK)).item()
         model.tensors[name] = torch.cat([old, 0.5 * (old[i] + old[j])]).requires_grad_(True)
-    adam.append(PER_SPLAT, len(i))
+    adam.append(model.per_splat, len(i))
 
 
 @torch.no_grad()
 def keep(model: SplatModel, adam: SurfaceAdam, rows: torch.Tensor) -> None:
     """Remove every splat but these, in place."""
     model.select(rows)
-    adam.select(PER_SPLAT, rows)
+    adam.select(model.per_splat, rows)

@@ -12,6 +12,7 @@ from ..initialise.sampling import SurfaceSamples
 ROUGHNESS_FLOOR = 0.08  # r_min, docs/physics.md: sharper lobes than this alias in the prefiltered cube
 IOR_LOW = 1.3  # eta = 1.3 + sigmoid (PhyGaP 9.1, with its slip mended)
 PER_SPLAT = ("anchor", "position", "normal", "log_scale", "opacity", "albedo", "roughness_offset", "ior_offset")
+OPTIONAL = ("indirect",)  # per splat too, where there are any: `indirect.harmonics`
 
 
 @dataclass(frozen=True)
@@ -74,6 +75,11 @@ class SplatModel:
     def __getitem__(self, name: str) -> torch.Tensor:
         return self.tensors[name]
 
+    @property
+    def per_splat(self) -> tuple[str, ...]:
+        """Names of the tensors with a row for every splat."""
+        return (*PER_SPLAT, *(name for name in OPTIONAL if name in self.tensors))
+
     def activated(self) -> Splats:
         """Every Gaussian's physical values, differentiable."""
         t = self.tensors
@@ -92,7 +98,7 @@ class SplatModel:
 
     def select(self, rows: torch.Tensor) -> None:
         """Keep these rows of every per-splat tensor, in place."""
-        for name in PER_SPLAT:
+        for name in self.per_splat:
             self.tensors[name] = self.tensors[name].detach()[rows].clone().requires_grad_(True)
 
 

@@ -31,7 +31,6 @@ SMOOTH_LEVEL = 0.55  # roughness of the light that one diffuse ray stands for: i
 GRAZING = 0.02  # cosine below which a reflected ray runs into its own surface and counts as free
 FAR_TAIL = 0.999  # share of the lobe that rays are drawn from: the last 0.1 % reaches the horizon
 GOLDEN = 0.618034  # golden section: azimuths of successive rays fill the circle evenly
-LEAST_BLOCKED = 0.004  # mean share of blocked diffuse rays below which the object counts as convex and tracing is left out
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,10 @@
 // Draws the model: mesh, environment behind it, photograph before it.
+const COARSE_CELLS = 48;  // along the box: about seven thousand triangles
 const SHOWN = ['relit', 'diffuse', 'specular', 'albedo', 'normal', 'roughness', 'ior', 'dolp', 'aolp'];
 
 class Model {
   static async open(canvas, scene) {
-    const gl = canvas.getContext('webgl2', {antialias: true, premultipliedAlpha: true});
+    const gl = canvas.getContext('webgl2', {antialias: false, premultipliedAlpha: true});
     if (!gl) return null;
     const model = new Model();
     Object.assign(model, {gl, canvas, scene, constants: {...scene.constants, ...Object.fromEntries(SHOWN.map((n, k) => [n.toUpperCase(), k]))}});
@@ -21,21 +22,7 @@ class Model {
       photograph: new Program(gl, constants, ['screen.vert'], ['display.glsl', 'photograph.frag']),
     };
     this.probe = gl.getExtension('EXT_color_buffer_float') ? new Probe(this, [...shading, 'probe.frag']) : null;
-    this.array = gl.createVertexArray();
-    gl.bindVertexArray(this.array);
-    const parts = [['position', 3, gl.UNSIGNED_SHORT], ['normal', 2, gl.SHORT], ['albedo', 3, gl.UNSIGNED_BYTE], ['material', 2, gl.UNSIGNED_BYTE]];
-    for (const [at, [name, size, kind]] of parts.entries()) {
-      gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
-      gl.bufferData(gl.ARRAY_BUFFER, await unpack(surface[name]), gl.STATIC_DRAW);
-      gl.enableVertexAttribArray(at);
-      gl.vertexAttribPointer(at, size, kind, true, 0, 0);
-    }
-    const index = await unpack(surface.index);
-    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
-    gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, index, gl.STATIC_DRAW);
-    gl.bindVertexArray(null);
-    this.count = index.length;
-    this.indexKind = index instanceof Uint16Array ? gl.UNSIGNED_SHORT : gl.UNSIGNED_INT;
+    await this.geometry(surface);
     const [depth, height, width] = scene.mirror.shape, table = await unpack(scene.mirror);
     this.textures = {
       u_scales: [1, gl.TEXTURE_2D, scaleTexture(gl, [scene.scales.inferno, scene.scales.viridis])],
@@ -44,6 +31,32 @@ class Model {
     };
     this.lights = new Map();
     this.photographs = new Map();
+  }
+
+  // The mesh's buffers, and two lists of triangles over them: all, and few for slow machines while something moves.
+  async geometry(surface) {
+    const {gl} = this, parts = [['position', 3, gl.UNSIGNED_SHORT], ['normal', 2, gl.SHORT], ['albedo', 3, gl.UNSIGNED_BYTE], ['material', 2, gl.UNSIGNED_BYTE]];
+    const arrays = await Promise.all(parts.map(([name]) => unpack(surface[name]))), index = await unpack(surface.index);
+    const buffers = arrays.map(data => this.buffer(gl.ARRAY_BUFFER, data));
+    this.triangles = [index, coarseTriangles(arrays[0], index, minus(surface.high, surface.low), COARSE_CELLS)].map(list => {
+      const array = gl.createVertexArray();
+      gl.bindVertexArray(array);
+      parts.forEach(([, size, kind], at) => {
+        gl.bindBuffer(gl.ARRAY_BUFFER, buffers[at]);
+        gl.enableVertexAttribArray(at);
+        gl.vertexAttribPointer(at, size, kind, true, 0, 0);
+      });
+      this.buffer(gl.ELEMENT_ARRAY_BUFFER, list);
+      gl.bindVertexArray(null);
+      return {array, count: list.length, kind: list instanceof Uint16Array ? gl.UNSIGNED_SHORT : gl.UNSIGNED_INT};
+    });
+  }
+
+  buffer(target, data) {
+    const {gl} = this, made = gl.createBuffer();
+    gl.bindBuffer(target, made);
+    gl.bufferData(target, data, gl.STATIC_DRAW);
+    return made;
   }
 
   // Filters a map on first use; entry: of the scene, or {name, map} of a dropped file.
@@ -87,12 +100,12 @@ class Model {
   }
 
   draw(view) {
-    const {gl, canvas} = this, {state, photograph, place} = view, values = this.uniforms(view);
+    const {gl, canvas} = this, {state, photograph, place, coarse} = view, values = this.uniforms(view);
     gl.bindFramebuffer(gl.FRAMEBUFFER, null);
     gl.viewport(0, 0, canvas.width, canvas.height);
     gl.clearColor(0, 0, 0, 0);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
-    this.drawMesh(this.programs.show, values);
+    this.drawMesh(this.programs.show, values, coarse);
     const triangle = (program, more) => { program.use({...values, ...more}); gl.drawArrays(gl.TRIANGLES, 0, 3); };
     gl.depthFunc(gl.LEQUAL);
     if (state.sky) triangle(this.programs.sky, {});
@@ -106,13 +119,16 @@ class Model {
     }
   }
 
-  drawMesh(program, values) {
-    const {gl} = this;
+  // coarse: few triangles, and none that face away.
+  drawMesh(program, values, coarse = false) {
+    const {gl} = this, {array, count, kind} = this.triangles[coarse ? 1 : 0];
     gl.enable(gl.DEPTH_TEST);
     gl.depthFunc(gl.LESS);
+    if (coarse) gl.enable(gl.CULL_FACE); else gl.disable(gl.CULL_FACE);
     program.use(values);
-    gl.bindVertexArray(this.array);
-    gl.drawElements(gl.TRIANGLES, this.count, this.indexKind, 0);
+    gl.bindVertexArray(array);
+    gl.drawElements(gl.TRIANGLES, count, kind, 0);
     gl.bindVertexArray(null);
+    gl.disable(gl.CULL_FACE);
   }
 }

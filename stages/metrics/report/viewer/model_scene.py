@@ -5,6 +5,9 @@ from __future__ import annotations
 import json
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from pipeline.capture.naming.safe_names import environment_name
 from pipeline.engine.stage import StageRun
 from pipeline.formats import dataset_files as files
@@ -31,19 +34,34 @@ def model_scene(run: StageRun) -> dict[str, Any] | None:
     lobe = lighting.get("lobe", "ggx")
     relit = {f.name for f in files.subfolders(run.inputs["relight"])} if "relight" in run.inputs else set()
     maps = {environment_name(p): p for p in run.capture.environments}
-    surface = surface_entry(run.inputs["mesh"] / files.MESH, turn)
     cameras, gain = camera_entries(run, turn)
+    lights = light_entries(train / files.ENVIRONMENT, {n: p for n, p in sorted(maps.items()) if n in relit})
+    return scene_of(surface_entry(run.inputs["mesh"] / files.MESH, turn), lights, lobe, turn, cameras, gain)
+
+
+def scene_of(
+    surface: dict[str, Any],
+    lights: list[dict[str, Any]],
+    lobe: str,
+    turn: NDArray[np.float64],
+    cameras: list[dict[str, Any]],
+    gain: float,
+) -> dict[str, Any]:
+    """All that `model.js` reads.
+
+    surface, lights, cameras: of `surface_entry`, `light_entry`, `camera_entries`; lobe: "ggx" or "beckmann"; turn [3, 3]: from
+    the capture's world to y up; gain: factor that the photographs were stored with.
+    """
     return {
         "kind": "model",
         "surface": surface,
-        "lights": light_entries(train / files.ENVIRONMENT, {n: p for n, p in sorted(maps.items()) if n in relit}),
+        "lights": lights,
         "lobe": lobe,
         "constants": shading_constants(),
         "mirror": mirror_table(lobe),
         "mirror_ior": splitsum.IOR_RANGE,
         "cameras": cameras,
         "gain": gain,
-        "albedo": surface.pop("mean_albedo"),
         "world_from_view": turn.T.tolist(),
         "scales": {"inferno": INFERNO, "viridis": VIRIDIS, "dolp": DOLP_FULL, "aolp": AOLP_FULL, "ior": IOR_SHOWN},
     }

@@ -1,6 +1,4 @@
 // The viewer of a model: state, controls, gestures, keys.
-const EASY_MS = 40;  // a frame that takes longer while one moves is drawn with fewer pixels until one stops
-
 class ModelViewer {
   static async open(root, scene) {
     const canvas = root.querySelector('canvas'), model = await Model.open(canvas, scene);
@@ -8,7 +6,7 @@ class ModelViewer {
     const viewer = new ModelViewer();
     const low = scene.surface.low, high = scene.surface.high;
     Object.assign(viewer, {
-      root, scene, canvas, model, orbit: new Orbit(low, high), lights: [...scene.lights], scale: 1, moving: 0, pointer: null,
+      root, scene, canvas, model, orbit: new Orbit(low, high), lights: [...scene.lights], pace: new Pace(), moving: false, pointer: null,
       state: {shown: 'relit', light: 0, turn: 0, exposure: Math.log2(scene.gain), sky: false, polariser: null, wipe: 0.5, camera: -1}});
     viewer.controls();
     viewer.listen();
@@ -106,29 +104,39 @@ class ModelViewer {
       : capturedMatrices(this.scene.cameras[state.camera], orbit, canvas.width, canvas.height);
   }
 
+  // Draws soon: when the frame before is through.
   request() {
-    if (this.waiting) return;
-    this.waiting = true;
-    requestAnimationFrame(now => { this.waiting = false; this.draw(now); });
+    this.wanted = true;
+    if (!this.busy) { this.busy = true; requestAnimationFrame(() => this.draw()); }
   }
 
-  draw(now = 0) {
-    if (!this.light) return;
-    const {canvas} = this, ratio = (window.devicePixelRatio || 1) * this.scale;
+  draw() {
+    this.wanted = false;
+    if (!this.light) { this.busy = false; return; }
+    const {canvas, model, moving, state} = this, {gl} = model, {scale, coarse} = moving ? this.pace.moving() : this.pace.resting();
+    const ratio = (window.devicePixelRatio || 1) > 1.5 && scale > 1 ? devicePixelRatio : (window.devicePixelRatio || 1) * scale;
     const width = Math.max(1, Math.round(canvas.clientWidth * ratio)), height = Math.max(1, Math.round(canvas.clientHeight * ratio));
     if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, {width, height});
-    this.view = {place: this.place(), state: this.state, light: this.light, photograph: this.state.camera >= 0 ? this.photograph : null};
-    this.model.draw(this.view);
-    if (this.pointer) this.readOut();
-    if (this.drawn && this.moving && now - this.drawn < 500 && now - this.drawn > EASY_MS) this.scale = Math.max(0.5, this.scale * 0.85);
-    this.drawn = now;
+    this.view = {place: this.place(), state, light: this.light, photograph: state.camera >= 0 ? this.photograph : null, coarse};
+    model.draw(this.view);
+    if (this.pointer && !moving) this.readOut();
+    const began = performance.now(), fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
+    gl.flush();
+    const wait = () => {
+      if (gl.getSyncParameter(fence, gl.SYNC_STATUS) !== gl.SIGNALED && performance.now() - began < 3000) { requestAnimationFrame(wait); return; }
+      gl.deleteSync(fence);
+      if (moving) this.pace.took(performance.now() - began);
+      this.busy = false;
+      if (this.wanted) this.request();
+    };
+    requestAnimationFrame(wait);
   }
 
-  // Something is being dragged: fewer pixels if need be, all of them when it stops.
+  // Something is being dragged: as finely as frames keep coming, and finely when it stops.
   move(change) {
-    this.moving = 1;
+    this.moving = true;
     clearTimeout(this.rest);
-    this.rest = setTimeout(() => { this.moving = 0; this.drawn = 0; if (this.scale < 1) { this.scale = 1; this.request(); } }, 250);
+    this.rest = setTimeout(() => { this.moving = false; this.request(); }, 250);
     if (this.state.camera >= 0) this.set({camera: -1});
     change(this.orbit);
     this.request();
@@ -137,7 +145,7 @@ class ModelViewer {
   frame() { this.move(orbit => orbit.frame()); }
 
   // The surface of mean albedo under the mean of this light is mid grey.
-  autoExposure() { this.set({exposure: Math.log2(0.2 * Math.PI / Math.max(this.light.entering * this.scene.albedo, 1e-9))}); }
+  autoExposure() { this.set({exposure: Math.log2(0.2 * Math.PI / Math.max(this.light.entering * this.scene.surface.mean_albedo, 1e-9))}); }
 
   fullScreen() { document.fullscreenElement ? document.exitFullscreen() : this.root.requestFullscreen?.().catch(() => {}); }
 

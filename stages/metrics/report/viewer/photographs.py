@@ -45,14 +45,15 @@ def camera_entries(run: StageRun, turn: NDArray[np.float64]) -> tuple[list[dict[
         pictures = _jpegs(run, names, gain, longest)
     return [
         {
-            "name": view, "test": view in held_back, "angle": angles.get(view), **_pose(cameras[view], turn),
+            "name": view, "test": view in held_back, "angle": angles.get(view), **pose_entry(cameras[view], turn),
             "picture": "data:image/jpeg;base64," + base64.b64encode(data).decode(),
         }
         for view, data in zip(names, pictures)
     ], gain  # fmt: skip
 
 
-def _pose(camera: Camera, turn: NDArray[np.float64]) -> dict[str, Any]:
+def pose_entry(camera: Camera, turn: NDArray[np.float64]) -> dict[str, Any]:
+    """A pinhole camera's part of an entry."""
     return {
         "size": [camera.width, camera.height], "focal": [camera.fx, camera.fy], "middle": [camera.cx, camera.cy],
         "rotation": (camera.world_to_camera[:3, :3] @ turn.T).tolist(),

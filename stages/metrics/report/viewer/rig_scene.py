@@ -44,18 +44,20 @@ def rig_scene(run: StageRun) -> dict[str, Any] | None:
     if not cameras:
         return None
     lobe = json.loads((run.inputs["olat"] / files.FITTED_LOBE).read_text())["lobe"]
+    return scene_of(cameras, LOBES[lobe])
+
+
+def scene_of(cameras: list[dict[str, Any]], lobe: int) -> dict[str, Any]:
+    """All that `rig.js` reads: cameras of `camera_entry` with their `name`; lobe of `LOBES`."""
+    names = {f"LOBE_{name.replace('-', '_').upper()}": k for name, k in LOBES.items()}
+    constants = {"PI": float(np.pi), "LOBE": lobe, "VIEW_FLOOR": lobes.VIEW_FLOOR, "LIGHT_FLOOR": float(lobes.LIGHT_FLOOR)}
     return {
-        "kind": "rig", "cameras": cameras, "nothing": NOTHING,
-        "constants": {
-            "PI": float(np.pi), "LOBE": LOBES[lobe], "VIEW_FLOOR": lobes.VIEW_FLOOR, "LIGHT_FLOOR": float(lobes.LIGHT_FLOOR),
-            "SIGMA_SHOWN": SIGMA_SHOWN, **{name.upper(): k for name, k in _shader_names().items()},
-        },
+        "kind": "rig",
+        "cameras": cameras,
+        "nothing": NOTHING,
+        "constants": {**constants, "SIGMA_SHOWN": SIGMA_SHOWN, **names},
         "scales": {"inferno": INFERNO, "viridis": VIRIDIS},
-    }  # fmt: skip
-
-
-def _shader_names() -> dict[str, int]:
-    return {f"lobe_{name.replace('-', '_')}": k for name, k in LOBES.items()}
+    }
 
 
 def camera_entry(folder: Path, camera: Camera, most: int) -> dict[str, Any] | None:

@@ -1,0 +1,272 @@
+"""The report's viewer shows what the dataset holds: arrays arrive as they went in, and its picture is the pipeline's."""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.formats.images import srgb_encode, write_exr
+from pipeline.formats.ply import write_ply
+from pipeline.geometry.cameras import Camera, camera_from_opengl
+from pipeline.optics.sphere import latlong_solid_angles
+from pipeline.report.render import render
+from pipeline.rig.lobe_names import LOBES
+from stages.metrics import report
+from stages.metrics.report.viewer import packing, page, photographs, rig_scene
+from stages.metrics.report.viewer.light_data import light_entry, shrunk
+from stages.metrics.report.viewer.model_scene import scene_of
+from stages.metrics.report.viewer.surface_data import ATTRIBUTES, IOR_RANGE, surface_entry, thinned
+from synth.orbit import look_at
+
+REPORT = Path(report.__file__).parent
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+SIZE = 64
+
+
+def sphere(rings: int = 24, bands: int = 48):
+    """Vertices [V, 3] and outward triangles [F, 3] of a unit sphere."""
+    theta, phi = np.meshgrid(np.linspace(0, np.pi, rings + 1), np.arange(bands) * 2 * np.pi / bands, indexing="ij")
+    points = np.stack([np.sin(theta) * np.cos(phi), np.cos(theta), np.sin(theta) * np.sin(phi)], -1).reshape(-1, 3)
+    r, b = np.meshgrid(np.arange(rings), np.arange(bands), indexing="ij")
+    a, c = r * bands + b, r * bands + (b + 1) % bands
+    faces = np.concatenate([np.stack([a, c, a + bands], -1), np.stack([c, c + bands, a + bands], -1)]).reshape(-1, 3)
+    return points, faces
+
+
+def baked(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """A sphere with a material that changes over it, as mesh.ply."""
+    points, faces = sphere()
+    albedo = 0.5 + 0.3 * points
+    material = np.concatenate([albedo, 0.45 + 0.15 * points[:, :1], 1.5 + 0.1 * points[:, 1:2]], -1)
+    attributes = np.concatenate([points, material], -1)
+    columns = dict(zip(("x", "y", "z", *ATTRIBUTES), np.concatenate([points, attributes], -1).T))
+    write_ply(path, columns, faces)
+    return points, attributes, faces
+
+
+def sky() -> np.ndarray:
+    """A map with a soft lamp."""
+    v, u = np.meshgrid((np.arange(32) + 0.5) / 32, (np.arange(64) + 0.5) / 64, indexing="ij")
+    lamp = np.exp(-((u - 0.4) ** 2 * 4 + (v - 0.35) ** 2) * 40)
+    return 0.3 + np.stack([0.3 * (1 - v), 0.2 * u, 0.4 * v], -1) + 4 * lamp[..., None]
+
+
+@pytest.mark.parametrize("kind", sorted(packing.KINDS))
+def test_arrays_come_out_as_they_went_in(kind):
+    values = np.arange(-60, 60).reshape(20, 6).astype(kind)
+    assert np.array_equal(packing.unpacked(json.loads(json.dumps(packing.packed(values)))), values)
+
+
+def test_directions_and_radiance_keep_their_digits():
+    rng = np.random.default_rng(0)
+    d = rng.normal(size=(500, 3))
+    d /= np.linalg.norm(d, axis=-1, keepdims=True)
+    d[:6] = np.concatenate([np.eye(3), -np.eye(3)])
+    back = packing.unfolded(packing.octahedral(d))
+    assert np.degrees(np.arccos(np.clip((back * d).sum(-1), -1, 1))).max() < 0.01
+    light = np.exp(rng.normal(0, 5, (500, 3)))
+    error = np.abs(packing.radiance_of(packing.rgbe(light)) - light).max(-1) / light.max(-1)
+    assert error.max() < 0.005
+
+
+@pytest.mark.parametrize("size", [(64, 128), (300, 600), (129, 258)])
+def test_a_smaller_map_holds_the_same_light(size):
+    light = np.random.default_rng(1).gamma(0.3, 5, (*size, 3))
+    small = shrunk(light, 32)
+    held = [(latlong_solid_angles(*m.shape[:2])[:, None, None] * m).sum((0, 1)) for m in (small, light)]
+    assert small.shape == (32, 64, 3) and held[0] == pytest.approx(held[1], rel=2e-3)
+
+
+def test_the_surface_in_the_page_is_that_of_the_mesh(tmp_path):
+    points, attributes, faces = baked(tmp_path / "mesh.ply")
+    turn = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
+    entry = surface_entry(tmp_path / "mesh.ply", turn)
+    low, high = np.array(entry["low"]), np.array(entry["high"])
+    position = low + packing.unpacked(entry["position"]) / 65535 * (high - low)
+    assert np.abs(position - points @ turn.T).max() < 3e-5
+    assert np.abs(packing.unfolded(packing.unpacked(entry["normal"])) - attributes[:, :3] @ turn.T).max() < 2e-4
+    assert np.abs(packing.unpacked(entry["albedo"]) / 255 - srgb_encode(attributes[:, 3:6])).max() < 0.003
+    material = packing.unpacked(entry["material"]) / 255
+    assert np.abs(material[:, 0] - attributes[:, 6]).max() < 0.003
+    assert np.abs(IOR_RANGE[0] + material[:, 1] * (IOR_RANGE[1] - IOR_RANGE[0]) - attributes[:, 7]).max() < 0.005
+    assert np.array_equal(packing.unpacked(entry["index"]), faces)
+
+
+def test_a_thinned_surface_keeps_shape_and_material(tmp_path):
+    points, attributes, faces = baked(tmp_path / "mesh.ply")
+    few, values, corners = thinned(points, attributes, faces, 600)
+    assert 300 < len(corners) <= 620 and len(few) == len(values) > corners.max()
+    assert np.abs(np.linalg.norm(few, axis=1) - 1).max() < 0.03
+    assert np.abs(values[:, 3:6] - (0.5 + 0.3 * few)).max() < 0.02
+
+
+def test_sixty_thousand_triangles_and_forty_views_fit_the_page(tmp_path):
+    rng = np.random.default_rng(2)
+    arrays = [rng.integers(0, 60000, (30000, 5)).astype(np.uint16), rng.integers(0, 255, (30000, 5)).astype(np.uint8)]
+    arrays.append(rng.integers(0, 30000, (60000, 3)).astype(np.uint16))
+    size = sum(len(packing.packed(a)["data"]) for a in arrays)
+    assert size + photographs.BUDGET * 4 / 3 < 9e6  # of 12 MB; the report's own pictures take the rest
+
+
+def test_no_text_of_a_scene_ends_the_script_and_nothing_is_fetched():
+    assert "</" not in page.embedded({"name": "</script><script>alert(1)"})
+    assert not re.search(r"https?://|import\(|fetch\(|XMLHttpRequest|console\.", page.script() + page.style())
+
+
+def test_every_script_and_shader_of_the_folder_is_used():
+    assert {p.stem for p in page.FOLDER.glob("*.js")} == set(page.SCRIPTS)
+    shaders = {p.name for pattern in page.SHADERS for p in page.FOLDER.glob(pattern)}
+    assert all(f"'{name}'" in page.script() for name in shaders)
+
+
+def light_stage(folder: Path, camera: Camera) -> np.ndarray:
+    """Maps of a sphere with an anisotropic lobe, as the olat stage writes them; the pixels inside."""
+    rays = camera.rays()
+    b = rays @ camera.centre
+    root = b**2 - (camera.centre @ camera.centre - 1)
+    inside = root > 0
+    n = np.where(inside[..., None], camera.centre + rays * (-b - np.sqrt(np.maximum(root, 0)))[..., None], 0)
+    tangent = np.cross(n, [0.1, 1.0, 0.2])
+    tangent /= np.maximum(np.linalg.norm(tangent, axis=-1, keepdims=True), 1e-9)
+    folder.mkdir()
+
+    def write(name, channels, values):
+        write_exr(folder / f"{name}.exr", {c: np.float32(values[..., k] * inside) for k, c in enumerate(channels)})
+
+    ones = np.ones((*inside.shape, 3))
+    for name in ("diffuse_normal", "specular_normal"):
+        write(name, "XYZ", n)
+    write("tangent", "XYZ", tangent)
+    write("diffuse_albedo", "RGB", 0.4 + 0.3 * n)
+    write("specular_albedo", "Y", 0.05 * ones)
+    write("sigma", "XY", np.stack([0.4 * ones[..., 0], 0.2 * ones[..., 0]], -1))
+    for name in ("occlusion_d", "occlusion_s"):
+        write(name, "Y", ones)
+    return inside
+
+
+def camera_at(position) -> Camera:
+    return Camera(
+        SIZE, SIZE, 1.6 * SIZE, 1.6 * SIZE, SIZE / 2, SIZE / 2, camera_from_opengl(look_at(np.array(position), np.zeros(3)))
+    )
+
+
+def test_a_light_stages_maps_in_the_page_are_the_files(tmp_path):
+    camera = camera_at([0.5, 0.4, 4.0])
+    inside = light_stage(tmp_path / "cam00", camera)
+    entry = rig_scene.camera_entry(tmp_path / "cam00", camera, 10**6)
+    count = int(packing.unpacked(entry["inside"]).sum())
+    assert count == inside.sum() and entry["step"] == 1
+    view = packing.unfolded(packing.unpacked(entry["view"]))
+    assert np.abs(view + camera.rays()[inside]).max() < 2e-4
+    lobe = packing.unpacked(entry["lobe"]).view("<f2").astype(float)
+    assert np.abs(lobe - [0.4, 0.2, 0.05]).max() < 1e-4
+    fewer = rig_scene.camera_entry(tmp_path / "cam00", camera, count // 3)
+    assert fewer["step"] == 2 and packing.unpacked(fewer["inside"]).sum() < 0.3 * count
+
+
+def shown_in_browser(folder: Path, scene: dict, draw: str) -> np.ndarray:
+    """Bytes [SIZE, SIZE, 4] of the viewer's canvas after the script `draw` (of `v`), by the browser's software renderer."""
+    macro = "rig_viewer" if scene["kind"] == "rig" else "model_viewer"
+    (folder / "page.jinja").write_text(
+        '{% from "viewer/viewer.html.jinja" import '
+        + macro
+        + " %}<!doctype html><meta charset=utf-8><style>{{ look | safe }}</style><main>"
+        "{{ " + macro + '(scene) }}</main><script type="application/json" id="viewer-scene">{{ text | safe }}</script>'
+        "<script>{{ script | safe }}</script><script>(async () => { const root = document.getElementById('viewer');"
+        " while (!root.viewer || !(root.viewer.light || root.viewer.ready)) await new Promise(r => setTimeout(r, 20));"
+        " const v = root.viewer; v.pointer = null; " + draw + " const out = document.createElement('pre'); out.id = 'shot';"
+        " out.textContent = v.canvas.toDataURL(); document.body.append(out); })()</script>"
+    )
+    shutil.copytree(REPORT / "viewer", folder / "viewer")
+    text = render(
+        "page.jinja", {"scene": scene, "text": page.embedded(scene), "script": page.script(), "look": page.style()}, folder
+    )
+    (folder / "page.html").write_text(text, encoding="utf-8")
+    options = [
+        "--headless",
+        "--no-sandbox",
+        "--disable-quic",
+        "--no-first-run",
+        "--disable-background-networking",
+        "--disable-sync",
+    ]
+    options += ["--disable-component-update", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+    options += [
+        f"--user-data-dir={folder / 'profile'}",
+        "--virtual-time-budget=60000",
+        "--dump-dom",
+        f"file://{folder / 'page.html'}",
+    ]
+    done = subprocess.run([str(CHROMIUM), *options], capture_output=True, text=True, timeout=300, check=False)
+    found = re.search(r'id="shot">data:image/png;base64,([^<]+)<', done.stdout)
+    if not found:
+        pytest.fail(f"the viewer drew nothing: {done.stderr[-400:]}")
+    from PIL import Image
+
+    return np.asarray(Image.open(io.BytesIO(base64.b64decode(found[1]))).convert("RGBA"))
+
+
+def psnr(shown: np.ndarray, linear: np.ndarray, inside: np.ndarray) -> float:
+    error = shown[..., :3] / 255 - srgb_encode(np.clip(linear, 0, 1))
+    return float(-10 * np.log10((error[inside] ** 2).mean()))
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium to draw with")
+def test_the_viewer_draws_the_model_as_the_pipeline_shades_it(tmp_path):
+    from stages.relight.deferred import Lamp, ShadingModel
+    from stages.relight.turntable import TexturedMesh
+    from stages.relight.turntable import render as rendered
+
+    baked(tmp_path / "mesh.ply")
+    camera, light = camera_at([2.0, 1.2, 3.4]), sky()
+    entry = {"name": "a", "test": False, "angle": None, "picture": "data:,", **photographs.pose_entry(camera, np.eye(3))}
+    scene = scene_of(
+        surface_entry(tmp_path / "mesh.ply", np.eye(3)), [light_entry("sky", "sky", light)], "ggx", np.eye(3), [entry], 1.0
+    )
+    draw = (
+        f"v.canvas.width = v.canvas.height = {SIZE}; v.state.camera = 0; v.state.exposure = 0;"
+        " v.model.draw({place: v.place(), state: v.state, light: v.light, photograph: null});"
+    )
+    shown = shown_in_browser(tmp_path, scene, draw)
+    image = rendered(TexturedMesh(tmp_path / "mesh.ply"), camera, Lamp(light, 64, ShadingModel(mirror="split")))
+    inside = (shown[..., 3] == 255) & (image.min(-1) > 0)
+    inside[1:-1, 1:-1] &= (
+        inside[:-2, 1:-1] & inside[2:, 1:-1] & inside[1:-1, :-2] & inside[1:-1, 2:]
+    )  # outlines are smoothed there
+    assert inside.sum() > 0.2 * SIZE**2
+    assert psnr(shown, image, inside) > 34
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium to draw with")
+def test_the_viewer_lights_a_light_stages_maps_as_the_pipeline_does(tmp_path):
+    from pipeline.rig.relighting import render_maps
+
+    camera = camera_at([0.5, 0.4, 4.0])
+    inside = light_stage(tmp_path / "cam00", camera)
+    (tmp_path / "maps.json").write_text(json.dumps({"lobe": "beckmann"}))
+    entry = {"name": "cam00", **rig_scene.camera_entry(tmp_path / "cam00", camera, 10**6)}
+    scene = rig_scene.scene_of([entry], LOBES["beckmann"])
+    width, height = entry["size"]
+    draw = (
+        f"v.canvas.width = {width}; v.canvas.height = {height}; v.state.x = 0.4; v.state.y = 0.3;"
+        " v.rig.draw({camera: v.camera, state: v.state, window: [0.5, 0.5, 0.5, 0.5], direction: v.direction()});"
+    )
+    shown = shown_in_browser(tmp_path, scene, draw)
+    right, up, back = np.array(entry["axes"])
+    direction = 0.4 * right + 0.3 * up + np.sqrt(1 - 0.25) * back
+    image = render_maps(tmp_path / "cam00", camera, direction[None], np.full((1, 3), np.pi))
+    rows, columns = np.flatnonzero(inside.any(1)), np.flatnonzero(inside.any(0))
+    top, left = rows[0] - (height - np.ptp(rows) - 1) // 2, columns[0] - (width - np.ptp(columns) - 1) // 2
+    cut = (slice(top, top + height), slice(left, left + width))
+    assert psnr(shown, image[cut], inside[cut]) > 45
