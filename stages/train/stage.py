@@ -53,7 +53,7 @@ def run(stage: StageRun) -> None:
 
 STAGE = Stage(
     name="train",
-    version=7,
+    version=8,
     parameters=TrainParameters,
     needs=("decode", "poses", "masks"),
     needed=needed,

@@ -23,8 +23,8 @@ MOST_REMOVED = 0.5  # share of the splats from which on none is removed: the ima
 OCCLUSION_FROM = 200  # steps before the first tracing: the light and the albedo must mean something
 CONCAVITIES_AT = (400, 600, 800)  # steps (of CYCLE) before which hollows are looked for: the light must be about right
 CONCAVITIES_UNTIL = 0.6  # share of the run after which there is no time left to settle
-LEAST_CONCAVITY = 0.03  # share of the surface below which what is found counts as noise, and is not looked for again: a
-# teapot's reflections in itself fake up to 0.019, real webs were 0.075 and more
+LEAST_CONCAVITY = 0.004  # share of the surface below which it is not worth looking again: 20 of the search's samples
+ROUNDS = 4  # searches in a row: when a film is gone, the next finds what lies deeper yet
 
 
 class Upkeep:
@@ -81,8 +81,11 @@ class Upkeep:
         traces = self.parameters.indirect != "none" and iteration >= OCCLUSION_FROM and iteration % self.period == 0
         if traces:
             self.renderer.trace(views, level)
-        if self.looks_for_concavities(iteration) and self.hollow_out() and traces:
-            self.renderer.trace(views, level)
+        for _ in range(ROUNDS if self.looks_for_concavities(iteration) else 0):
+            if not self.hollow_out():
+                break
+            if traces:
+                self.renderer.trace(views, level)
 
     def densify(self, iteration: int) -> None:
         """Remove what does not show, then add where the images pull hardest, up to the bound, while there is time."""

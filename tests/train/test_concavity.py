@@ -17,7 +17,7 @@ from stages.train.concavity.explanation import shading_tables, sphere_directions
 from stages.train.concavity.hollow import DepthField, hollowed
 from stages.train.concavity.refit import refit
 from stages.train.concavity.samples import Observations
-from stages.train.concavity.search import trial_depths, without_doubtful
+from stages.train.concavity.search import FEWEST, certain, trial_depths, without_doubtful
 from stages.train.initialise.hull import HullMesh
 from stages.train.parameters import TrainParameters
 from stages.train.setup import prepare_training
@@ -88,13 +88,36 @@ def test_a_surface_that_nothing_speaks_against_stays():
 def test_shallow_depths_count_only_at_the_rim_of_a_certain_concavity():
     points, _ = grid()
     depths = np.zeros(len(points))
-    depths[points[:, 0] < 0.12] = 0.06  # certain
+    depths[points[:, 0] < 0.12] = 0.06
+    sure = points[:, 0] < 0.12
     depths[(points[:, 0] > 0.12) & (points[:, 0] < 0.28)] = 0.02  # its rim
     depths[points[:, 0] > 1.0] = 0.02  # doubtful
-    kept = without_doubtful(points, depths, np.full(len(points), 0.05))
+    kept = without_doubtful(points, depths, sure, np.full(len(points), 0.05))
     assert (kept[points[:, 0] < 0.28] == depths[points[:, 0] < 0.28]).all()
     assert (kept[points[:, 0] > 1.0] == 0).all()
-    assert (without_doubtful(points, np.full(len(points), 0.02), np.full(len(points), 0.05)) == 0).all()
+    few = np.arange(len(points)) < FEWEST - 1  # too few to be more than chance
+    assert (without_doubtful(points, np.full(len(points), 0.05), few, np.full(len(points), 0.05)) == 0).all()
+
+
+def test_a_depth_is_certain_where_it_is_deep_and_explains_more_and_its_neighbours_agree():
+    points, _ = grid()
+    depths = trial_depths()
+    middle = np.hypot(*(points[:, :2] - 0.6).T) < 0.3
+    views = np.full((len(depths), len(points)), 10)
+
+    def sure(there: float, where: np.ndarray = middle, deep: float = depths[4]) -> np.ndarray:
+        residual = np.full(views.shape, 0.002)
+        residual[:, middle] = 0.03
+        residual[4, middle] = there
+        return certain(points, np.where(where, deep, 0.0), depths, residual, views)
+
+    assert sure(0.003)[middle].mean() > 0.9
+    assert not sure(0.003)[~middle].any()
+    assert not sure(0.025).any()  # hardly a better explanation
+    assert not sure(0.003, deep=depths[1]).any()  # no deeper than reflections in the object fake
+    assert not sure(0.003, where=middle & (np.arange(len(points)) % 5 == 0)).any()  # here and there
+    views[4] = 2
+    assert not sure(0.003).any()  # two views agree on anything
 
 
 def test_a_hollowed_ball_lacks_what_the_field_took_and_nothing_else():

@@ -10,9 +10,9 @@ NEIGHBOURS = 6
 SAME_SIDE = 0.3  # cosine between normals above which two samples are neighbours
 LEAST_VIEWS = 4  # fewer views than this agree on anything: normal and albedo have five unknowns in nine numbers a view
 FLOOR = 0.002  # residual that counts as none: costs are logarithms, since noise scales a residual and depth does too
-TENSION = 24.0  # cost of a difference in depth between neighbours, per unit of depth
+TENSION = 8.0  # cost of a difference in depth between neighbours, per unit of depth: a cup's wall is as steep as its rim
 TEAR = 0.12  # difference beyond which more costs no more: a concavity may have a steep wall
-STAY = 1.0  # cost of depth itself, per unit: what nothing speaks for stays where it is
+STAY = 2.0  # cost of depth itself, per unit: what nothing speaks for stays where it is
 ROUNDS = 25
 
 
