@@ -7,7 +7,7 @@ DEMO ?= build/demo
 STAGES := decode poses masks olat train mesh relight metrics
 
 # A misspelt variable would be ignored without a word.
-VARIABLES := CAPTURE DATASET PARAMS ENVS DEVICE JOBS DRY_RUN YES FULL REPAIR CAPTURES PYTHON VENV DEMO
+VARIABLES := CAPTURE DATASET PARAMS ENVS DEVICE JOBS DRY_RUN YES FULL REPAIR CAPTURES MEMORY PYTHON VENV DEMO
 $(foreach name,$(.VARIABLES),$(if $(filter command,$(origin $(name))),$(if $(filter-out $(VARIABLES) MAKE% -%,$(name)),\
   $(error $(name)= is not a variable of this Makefile; it knows $(VARIABLES:%=%=)))))
 
@@ -17,14 +17,18 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
 # Through the environment, so that the shell takes every value as it stands: paths with spaces, quotes in ENVS= and PARAMS=.
-export CAPTURE DATASET PARAMS ENVS DEVICE JOBS CAPTURES DEMO
-OPTIONS = $(if $(CAPTURE),"$$CAPTURE") --dataset="$$DATASET" --params="$$PARAMS" --envs="$$ENVS" --device="$$DEVICE" --jobs="$$JOBS"
+export CAPTURE DATASET PARAMS ENVS DEVICE JOBS CAPTURES MEMORY DEMO
+SETTINGS = --dataset="$$DATASET" --params="$$PARAMS" --envs="$$ENVS" --device="$$DEVICE" --jobs="$$JOBS" --memory="$$MEMORY"
+OPTIONS = $(if $(CAPTURE),"$$CAPTURE") $(SETTINGS)
 
-.PHONY: all plan inspect report tradeoff verify gc $(STAGES) setup demo test test-fast lint bench bench-train bench-olat bench-rasterize stability clean help
+.PHONY: all plan inspect report tradeoff batch verify gc $(STAGES) setup demo test test-fast crash-test lint bench bench-train bench-olat bench-rasterize stability clean help
 .DEFAULT_GOAL := help
 
 all plan inspect report tradeoff $(STAGES): $(READY)
 	@exec $(BIN)/polarfield $@ $(OPTIONS)
+
+batch: $(READY)
+	@exec $(BIN)/polarfield $@ "$$CAPTURES" $(SETTINGS) $(if $(DRY_RUN),--dry-run)
 
 verify: $(READY)
 	@exec $(BIN)/polarfield $@ $(OPTIONS) $(if $(FULL),--full) $(if $(REPAIR),--repair)
@@ -58,6 +62,10 @@ test: $(READY) lint  ## everything, fast tests first
 test-fast: $(READY)  ## under a minute
 	$(FAST)
 
+# Every stop is a run of its own: some two thousand of them, a minute a hundred on quiet cores.
+crash-test: $(READY)  ## stop small runs before each of their changes to the disk; needs a C compiler
+	OMP_NUM_THREADS=1 $(BIN)/python tests/crash/points.py
+
 lint: $(READY)  ## ruff (rules and format) and mypy
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -81,7 +89,7 @@ clean:  ## caches and the demo; never a dataset
 	find pipeline stages tests benchmarks synth -name __pycache__ -type d -prune -exec rm -rf {} +
 
 help:
-	@echo "make all CAPTURE=folder [DATASET=folder] [PARAMS='train.iterations=500'] [ENVS='a.hdr b.hdr'] [DEVICE=cpu|cuda] [JOBS=n]"
+	@echo "make all CAPTURE=folder [DATASET=folder] [PARAMS='train.iterations=500'] [ENVS='a.hdr b.hdr'] [DEVICE=cpu|cuda] [JOBS=n] [MEMORY=16G]"
 	@echo
 	@echo "all                       every stage that the capture needs, with exactly the PARAMS and ENVS that are given"
 	@echo "inspect                   a page that shows what was understood of a capture, before anything long runs"
@@ -90,6 +98,7 @@ help:
 	@echo "                          one stage and what it needs; stages that PARAMS does not name stay as in the last run"
 	@echo "tradeoff                  error against seconds on this capture, and PARAMS for twice as fast and for the smallest error"
 	@echo "report                    write the report of the results in use and say where it lies; runs no other stage"
+	@echo "batch                     every stage of every capture; CAPTURES=folder|list [DATASET=folder of datasets] [JOBS=n] [MEMORY=16G]"
 	@echo "verify                    name what is damaged of everything in use; DATASET=folder [FULL=1] [REPAIR=1: drop that]"
 	@echo "gc                        remove versions that nothing in use was made from; DATASET=folder [DRY_RUN=1] [YES=1]"
 	@grep -hE '^[a-z][a-z -]*:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## */\t/' | expand -t 26

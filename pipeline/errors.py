@@ -16,6 +16,8 @@ class UserError(Exception):
     `file` names what is at fault (a path, an option), `fault` says what is wrong with it, `remedy` what to do.
     """
 
+    status = 2
+
     def __init__(self, file: str | Path, fault: str, remedy: str = "") -> None:
         self.file, self.fault, self.remedy = str(file), fault, remedy
         super().__init__(file, fault, remedy)

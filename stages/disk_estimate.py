@@ -22,25 +22,19 @@ TEXTURE_BYTES = 130
 def disk_estimate(capture: Capture, stages: Container[str]) -> list[tuple[str, float]]:
     """Megabytes that each running stage will leave, roughly: within a factor of two for ordinary objects."""
     if capture.light_stage is not None:
-        pixels = sum(c.camera.width * c.camera.height for c in capture.light_stage.cameras.values())
+        pixels = sum(capture.pixels)
         per_stage = {
             "decode": 0.05, "masks": pixels / 8 / MEBI, "olat": pixels * MAP_CHANNELS * BYTES_PER_VALUE / MEBI,
             "relight": pixels * 6 * BYTES_PER_VALUE * len(capture.environments) / MEBI, "metrics": 1.0,
         }  # fmt: skip
     else:
-        sizes = [v.size or _size_of(capture, v.view) for v in capture.views]
-        pixels = sum(w * h for w, h in sizes)
+        pixels = sum(capture.pixels)
         channels = 3 if capture.polarisation != "stokes" else STOKES_CHANNELS
         per_stage = {
             "decode": pixels * channels * BYTES_PER_VALUE / MEBI, "poses": 0.1 if capture.cameras else pixels / 4 / MEBI,
             "masks": pixels / 8 / MEBI, "train": pixels * MODEL_CHANNELS * BYTES_PER_VALUE / MEBI + 4,
-            "mesh": 4.0 + pixels / len(sizes) * TEXTURE_BYTES / MEBI,
+            "mesh": 4.0 + pixels / max(len(capture.views), 1) * TEXTURE_BYTES / MEBI,
             "relight": pixels * (STOKES_CHANNELS + 1) * BYTES_PER_VALUE * len(capture.environments) / MEBI,
             "metrics": 3.0,
         }  # fmt: skip
     return [(name, mb) for name, mb in per_stage.items() if name in stages]
-
-
-def _size_of(capture: Capture, view: str) -> tuple[int, int]:
-    camera = (capture.cameras or {}).get(view)
-    return (camera.width, camera.height) if camera else (1024, 1024)

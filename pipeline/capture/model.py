@@ -144,6 +144,15 @@ class Capture:
         return tuple(sorted({view.camera for view in self.views}))
 
     @property
+    def pixels(self) -> list[int]:
+        """Pixels of every view (of a light stage: of every camera); a megapixel where nothing has told its size."""
+        if self.light_stage is not None:
+            return [c.camera.width * c.camera.height for c in self.light_stage.cameras.values()]
+        cameras = self.cameras or {}
+        told = (v.size or ((c.width, c.height) if (c := cameras.get(v.view)) else (1024, 1024)) for v in self.views)
+        return [width * height for width, height in told]
+
+    @property
     def camera_file(self) -> Path:
         """The file that its cameras are read from (readers list it first), else the folder."""
         pictures = {path for view in self.views for path in view.paths}

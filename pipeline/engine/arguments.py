@@ -9,6 +9,7 @@ import typing
 from collections.abc import Mapping, Sequence
 from typing import Any, NoReturn
 
+from pipeline.engine.memory import parsed_mb
 from pipeline.engine.stage import Stage
 from pipeline.environments import DEFAULT, NO_MAPS, SHIPPED
 from pipeline.errors import UserError, nearest
@@ -23,16 +24,37 @@ COMMANDS = {
     "export": "copy results to a folder of their own, in a format that other programs open",
     "tradeoff": "run a capture with other parameters, for up to ten times its own time: error against seconds",
     "verify": "read everything in use against its digests and name what is damaged or missing (then the exit status is 1)",
+    "batch": "run every stage of every capture in a folder, or of those that a list names, and write one table",
     "gc": "remove versions that nothing in use was made from, and unfinished work; lists them, and asks unless --yes is given",
 }
 SWITCHES = {
+    "batch": {
+        "--dry-run": "tell what is done and what is left, and run nothing",
+        "--slurm": "submit a Slurm array, a task a capture, and a last job that writes the table",
+    },
     "gc": {"--dry-run": "list what would go, and remove nothing", "--yes": "do not ask"},
     "verify": {
         "--full": "read all files again, also those that were found whole and were not written to since",
         "--repair": "drop what is damaged, so that the next run makes exactly that again",
     },
 }
-MAKE_VARIABLES = {"--dataset": "DATASET", "--params": "PARAMS", "--envs": "ENVS", "--device": "DEVICE", "--jobs": "JOBS"}
+VALUES: dict[str, dict[str, dict[str, Any]]] = {
+    "batch": {
+        "--snakemake": {"nargs": "?", "const": "", "metavar": "TEXT",
+                        "help": "run on Snakemake, given TEXT, as in --snakemake='--executor slurm'"},
+        "--sbatch": {"default": "", "metavar": "TEXT", "help": "more options of sbatch, as in --sbatch='--time=4:00:00'"},
+        "--cores": {"type": int, "default": 4, "metavar": "N", "help": "processor cores of a job on a cluster [default: 4]"},
+        "--round": {"type": int, "default": 1, "help": argparse.SUPPRESS},
+    }
+}  # fmt: skip
+MAKE_VARIABLES = {
+    "--dataset": "DATASET",
+    "--params": "PARAMS",
+    "--envs": "ENVS",
+    "--device": "DEVICE",
+    "--jobs": "JOBS",
+    "--memory": "MEMORY",
+}
 DEVICES = ("auto", "cpu", "cuda")
 MAPS_HELP = (
     f'more environment maps to relight under, as "a.hdr b.exr", or of those that come with the program: {", ".join(SHIPPED)} '
@@ -59,6 +81,8 @@ def parse(stages: Mapping[str, Stage], arguments: Sequence[str], formats: Sequen
         return options
     if options.jobs < 1:
         raise UserError(_spoken("--jobs"), f"{options.jobs} is not a whole number from 1 on", "as in 2")
+    if getattr(options, "memory", ""):
+        parsed_mb(options.memory)
     return options
 
 
@@ -71,7 +95,7 @@ def _unknown(flag: str, command: str, stages: Mapping[str, Stage]) -> UserError:
     if owner and owner != command:
         parameter = name[2:].replace("-", "_")
         return UserError(name, f"is a parameter of {owner}, not of {command}", f'as in --params "{owner}.{parameter}=VALUE"')
-    near = nearest(name, [*own, *MAKE_VARIABLES, "--quiet", *SWITCHES.get(command, ())])
+    near = nearest(name, [*own, *MAKE_VARIABLES, "--quiet", *SWITCHES.get(command, ()), *VALUES.get(command, ())])
     return UserError(name, f"{command} has no such option", near)
 
 
@@ -117,6 +141,8 @@ def _parser(stages: Mapping[str, Stage], formats: Sequence[str]) -> argparse.Arg
         _common(sub)
         for switch, meaning in SWITCHES.get(name, {}).items():
             sub.add_argument(switch, action="store_true", help=meaning)
+        for option, settings in VALUES.get(name, {}).items():
+            sub.add_argument(option, **settings)
     for name, stage in stages.items():
         text = f"run the {name} stage and what it needs; other stages keep the parameters and maps of the last run"
         sub = commands.add_parser(name, help=f"run the {name} stage and what it needs", description=text, epilog=EPILOG)
@@ -154,5 +180,6 @@ def _common(parser: argparse.ArgumentParser) -> None:
     add("--envs", default="", metavar="TEXT", help=MAPS_HELP)
     add("--device", default="auto", choices=DEVICES, help="where to train: auto, cpu or cuda [default: auto]")
     add("--jobs", type=int, default=1, help="how many independent pieces to work on side by side [default: 1]")
+    add("--memory", default="", metavar="AMOUNT", help="memory that may be taken, as 16G [default: what the machine has]")
     add("--quiet", action="store_true", help="say nothing but errors and the result")
     add("--alone", action="store_true", help=argparse.SUPPRESS)

@@ -2,62 +2,32 @@
 
 from __future__ import annotations
 
-import argparse
 import io
-import os
-import signal
-import subprocess
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
-from pipeline.capture import Capture
 from pipeline.engine.arguments import parse
+from pipeline.engine.call import Call, describe, open_call, place_of
 from pipeline.engine.changes import State, expected_warnings, keep_hint, outlook, plan_text, stale_after, states
-from pipeline.engine.dataset import Dataset, digest_json
+from pipeline.engine.child import run_stage
 from pipeline.engine.device import device_of, refuse_missing_cuda
 from pipeline.engine.early import look_early, say_warnings
 from pipeline.engine.gc import collect
-from pipeline.engine.interrupts import Interrupted, in_child, interruptible, wait_for
-from pipeline.engine.places import existing_dataset, open_places, refuse_another_capture
-from pipeline.engine.plan import Step, load_stages, make_plan, plan_as_json
+from pipeline.engine.interrupts import Interrupted, interruptible
+from pipeline.engine.places import existing_dataset, refuse_another_capture
+from pipeline.engine.plan import Step, load_stages, make_plan
 from pipeline.engine.program import Program
-from pipeline.engine.progress import Progress
-from pipeline.engine.settings import (
-    Settings,
-    given_settings,
-    remember,
-    remembered_settings,
-    settings_of_one_stage,
-    with_environments,
-)
-from pipeline.engine.stage import Stage
+from pipeline.engine.settings import remember
 from pipeline.engine.verify import verify
 from pipeline.errors import UserError, line_of
 
-
-@dataclass(frozen=True)
-class Call:
-    """One call of the command: its options, and what they come to."""
-
-    program: Program
-    options: argparse.Namespace
-    stages: Mapping[str, Stage]
-    capture: Capture
-    dataset: Dataset
-    settings: Settings
-    last: Settings
-    progress: Progress
-
-    @property
-    def command(self) -> str:
-        """What was asked for."""
-        return self.options.command
+JOB_WORDS = 4  # `job PLAN ROW STAGE`: what a cluster runs of a batch's plan
 
 
 def main(program: Program, arguments: Sequence[str]) -> int:
-    """Run one command; returns the exit status: 0 done, 1 damage found, 2 a fault of input, 128 + signal interrupted."""
+    """Run one command; returns the exit status: 0 done, 1 damage found, 2 a fault of input, 128 + signal ended by it."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # a file's name may be no text
@@ -68,7 +38,7 @@ def main(program: Program, arguments: Sequence[str]) -> int:
         return 0
     except (UserError, OSError, MemoryError) as error:
         print(f"polarfield: {line_of(error)}", file=sys.stderr)
-        return 2
+        return error.status if isinstance(error, UserError) else UserError.status
     except Interrupted as signal_heard:
         if "--alone" not in arguments:  # the run that began this stage says it
             print("polarfield: interrupted; the same command goes on from what is done", file=sys.stderr)
@@ -76,6 +46,10 @@ def main(program: Program, arguments: Sequence[str]) -> int:
 
 
 def _run(program: Program, arguments: Sequence[str]) -> int:
+    if arguments[:1] == ["job"] and len(arguments) == JOB_WORDS:
+        from pipeline.engine.batch.plan_file import run_job
+
+        return run_job(arguments[1:], lambda line: main(program, line))
     stages = load_stages(program.modules)
     options = parse(stages, arguments, program.formats)
     if options.command == "compare" and program.compare is not None:
@@ -87,7 +61,11 @@ def _run(program: Program, arguments: Sequence[str]) -> int:
         return 0
     if options.command in ("gc", "verify"):
         return {"gc": collect, "verify": verify}[options.command](options, stages)
-    call = _call(program, options, stages)
+    if options.command == "batch":
+        from pipeline.engine.batch.command import batch
+
+        return batch(program, options, stages, arguments)
+    call = open_call(program, options, stages)
     if options.command in ("plan", "inspect"):
         return _show(call)
     if options.command == "report":
@@ -102,17 +80,6 @@ def _run(program: Program, arguments: Sequence[str]) -> int:
         refuse_another_capture(call.dataset, call.capture, steps)
         call.dataset.digests.save(call.dataset.write_text)
         return _make_alone(call, steps) if options.alone else _bring_up_to_date(call, steps)
-
-
-def _call(program: Program, options: argparse.Namespace, stages: Mapping[str, Stage]) -> Call:
-    capture, dataset = open_places(options.capture, options.dataset, options.command)
-    own = {k[2:]: v for k, v in vars(options).items() if k.startswith("p_") and v is not None}
-    given = given_settings(options.params, options.envs, own, options.command, stages)
-    last = remembered_settings(dataset.read_description(), dataset.root, stages)
-    inherits = (options.command in stages and not options.alone) or options.command == "report"
-    settings = settings_of_one_stage(options.command, given, last, stages) if inherits else given
-    capture = with_environments(capture, settings.environments)
-    return Call(program, options, stages, capture, dataset, settings, last, Progress(quiet=options.quiet))
 
 
 def _show(call: Call) -> int:
@@ -177,16 +144,16 @@ def _bring_up_to_date(call: Call, steps: list[Step]) -> int:
     for step in wanted:
         if not found[step.stage.name].ready:
             step.stage.check(call.capture)
-    _describe(call, steps, kept)
+    describe(call, steps, kept)
     _announce(call, steps, found)
     made = [s.stage.name for s in wanted if _bring(call, s)]
-    _describe(call, steps, kept)
+    describe(call, steps, kept)
     if all(state.kind == "done" for state in found.values()) and not made:
         print(f"{dataset.root}: up to date, nothing to do")
     if wanted[-1].stage.name == call.program.report:
         print(f"report: {_report_path(call)}")
     elif target is not None:
-        print(f"{target}: {_place(call, target)}")
+        print(f"{target}: {place_of(call, target)}")
     if stale := stale_after(dataset, steps):
         remedy = f"`make {call.program.report}` brings everything up to date"
         print(f"out of date: {', '.join(stale)} (made from earlier versions); {remedy}")
@@ -213,7 +180,7 @@ def _bring(call: Call, step: Step) -> bool:
     version = dataset.find(name, step.key)
     made = version is None
     if version is None:
-        status = _in_a_process_of_its_own(call, name)
+        status = run_stage(call, name)
         version = dataset.find(name, step.key)
         if status:
             sys.exit(status)  # the child has said why
@@ -239,50 +206,14 @@ def _wanted(steps: list[Step], target: str | None) -> list[Step]:
 def _make_alone(call: Call, steps: list[Step]) -> int:
     """The child's part of a run: one stage, whose inputs are there."""
     from pipeline.engine.execute import make_version
+    from pipeline.engine.memory import allowance
 
     step = next(s for s in steps if s.stage.name == call.command)
     device = device_of(call.options.device) if step.stage.device else "cpu"
-    make_version(call.dataset, call.capture, step, call.capture.environments, device, call.options.jobs, call.progress)
+    allowed = allowance(step, call.capture, call.options.jobs, call.options.memory)
+    make_version(call.dataset, call.capture, step, call.capture.environments, device, allowed, call.progress)
     return 0
 
 
-def _in_a_process_of_its_own(call: Call, name: str) -> int:
-    """Run one stage in a child: its memory is its own, and a crash of a native library ends the stage alone."""
-    options = call.options
-    command = [sys.executable, "-m", call.program.module, name, str(call.capture.root), "--alone"]
-    command += ["--dataset", str(call.dataset.root)]
-    command += [f"--params={call.settings.params_text()}", f"--envs={call.settings.envs_text()}"]
-    command += ["--device", options.device, "--jobs", str(options.jobs)] + (["--quiet"] if options.quiet else [])
-    path = os.pathsep.join(filter(None, [str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH", "")]))
-    sys.stdout.flush()
-    status = wait_for(subprocess.Popen(command, env={**os.environ, "PYTHONPATH": path}, preexec_fn=in_child))
-    if status < 0:
-        why = signal.Signals(-status).name
-        hint = "it may have run out of memory; " if status == -signal.SIGKILL else ""
-        raise UserError(name, f"the stage was ended by {why}", f"{hint}the same command resumes it")
-    return status
-
-
-def _describe(call: Call, steps: list[Step], kept: Settings) -> None:
-    """Write `dataset.json`: plan, decisions that finished stages took at run time, and the user's settings."""
-    plan, dataset = plan_as_json(steps), call.dataset
-    for step in steps:
-        version = dataset.find(step.stage.name, step.key) if step.decision.run else None
-        facts = version.manifest.get("facts", {}) if version else {}
-        passes = {k: v for k, v in facts.items() if isinstance(v, dict) and {"run", "reason"} <= set(v)}
-        if passes:
-            plan[step.stage.name]["passes"] = {**plan[step.stage.name].get("passes", {}), **passes}
-    fingerprint = digest_json([step.inputs.get("files", {}) for step in steps])
-    where = os.path.relpath(call.capture.root, dataset.root)
-    facts = {"capture": where, "layout": call.capture.layout, "fingerprint": fingerprint, "plan": plan}
-    dataset.describe({**facts, "given": kept.as_json(dataset.root)})
-
-
 def _report_path(call: Call) -> Path:
-    return _place(call, call.program.report) / "report.html"
-
-
-def _place(call: Call, stage: str) -> Path:
-    """Where a stage's version in use lies."""
-    version = call.dataset.current(stage)
-    return call.dataset.place(version) if version else call.dataset.root / stage / "current"
+    return place_of(call, call.program.report) / "report.html"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import importlib.metadata
+import os
 import shutil
 import sys
 from collections.abc import Mapping
@@ -16,6 +17,7 @@ from pipeline.engine.dataset import Dataset, Version
 from pipeline.engine.dataset.digests import digest_file
 from pipeline.engine.dataset.usage import Usage
 from pipeline.engine.inputs_check import cause, published, refuse_unsafe_tables
+from pipeline.engine.memory import Allowance
 from pipeline.engine.plan import Step, as_json
 from pipeline.engine.progress import Progress, brief
 from pipeline.engine.stage import StageRun
@@ -35,7 +37,7 @@ def make_version(
     step: Step,
     environments: tuple[Path, ...],
     device: str,
-    jobs: int,
+    allowed: Allowance,
     progress: Progress,
 ) -> Version:
     """The version of `step`: the published one where there is one, else made now. Raises UserError."""
@@ -50,20 +52,17 @@ def make_version(
         if version := dataset.find(name, key):
             return version
         resumed = (work / "usage.json").exists()
-        progress.say(f"{name}: {'resuming' if resumed else 'running'} ({step.decision.reason})")
-        output, scratch = work / "output", work / "scratch"
-        if output.exists():
-            shutil.rmtree(output)
-        output.mkdir()
-        scratch.mkdir(exist_ok=True)
+        why = f"{step.decision.reason}; about {allowed.expected_mb:.0f} MB of memory"
+        progress.say(f"{name}: {'resuming' if resumed else 'running'} ({why})")
+        output, scratch = _folders(work)
         upstream = {n: published(dataset, n, step.inputs["stages"][n]) for n in step.needs}
         refuse_unsafe_tables(dataset, upstream.values())
-        inputs = {n: version.folder for n, version in upstream.items()}
-        run = StageRun(capture, step.parameters, inputs, output, scratch, device, environments, progress, jobs)
-        usage = Usage(work / "usage.json")
+        folders = {n: version.folder for n, version in upstream.items()}
+        run = StageRun(capture, step.parameters, folders, output, scratch, device, environments, progress, allowed.jobs)
+        usage = Usage(work / "usage.json", allowed.limit_mb, lambda: _stop_at_once(allowed.overrun(name)))
         try:
             step.stage.run(run)
-            figures = usage.stop()
+            figures = {**usage.stop(), "expected_rss_mb": round(allowed.expected_mb, 1)}
             _refuse_changed_files(dataset, step)
             version = dataset.publish(name, key, output, _manifest(step, run, output, figures))
         except OSError as error:
@@ -79,6 +78,25 @@ def make_version(
         dataset.clear_work(name, key)
         progress.say(f"{name}: done in {brief(float(figures['wall_s']))}, {figures['peak_rss_mb']:.0f} MB")
         return version
+
+
+def _folders(work: Path) -> tuple[Path, Path]:
+    """An empty folder for the output, and one that keeps what an earlier leg left."""
+    output, scratch = work / "output", work / "scratch"
+    if output.exists():
+        shutil.rmtree(output)
+    output.mkdir()
+    scratch.mkdir(exist_ok=True)
+    return output, scratch
+
+
+def _stop_at_once(line: str) -> None:
+    """End this process from a thread that watches it: what allocates may be a library that hears no signal.
+
+    Nothing is lost that a kill would not lose, and nothing half-written is ever published.
+    """
+    print(f"polarfield: {line}", file=sys.stderr, flush=True)
+    os._exit(UserError.status)
 
 
 def _refuse_changed_files(dataset: Dataset, step: Step) -> None:

@@ -31,8 +31,8 @@ class Program:
 
     `modules`: each stage's module by its name, in running order. `module`: `python -m MODULE STAGE ...` runs one stage in
     a process of its own. `report`: the stage whose output the report is. `inspect` writes the page of `inspect`,
-    `compare` that of `compare`, `tradeoff` tries out other parameters, `export` to `formats` copies results,
-    `look` tells what a run would warn of.
+    `compare` that of `compare`, `tradeoff` tries out other parameters, `look` tells what a run would warn
+    of, `export` to `formats` copies results.
     """
 
     modules: Mapping[str, str]

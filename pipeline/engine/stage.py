@@ -43,6 +43,11 @@ def no_given_files(capture: Capture, parameters: Any) -> Iterable[Path]:
     return ()
 
 
+def little_memory(capture: Capture, parameters: Any, jobs: int) -> float:
+    """For a stage that holds next to nothing: MiB of the program itself."""
+    return 150.0
+
+
 def no_check(capture: Capture) -> None:
     """For a stage whose files are checked where the capture is recognised."""
 
@@ -56,7 +61,8 @@ class Stage:
     it heeds: both enter its key. `check` raises UserError where it could not use its files; it is asked before any
     stage runs. `given_files` are files that its parameters name: they enter its key, and it may refuse them before anything
     runs. `environments` says that it reads the maps to relight under, `device` that it runs on
-    the device that a call names (every other stage runs on the processor and loads nothing to find out).
+    the device that a call names (every other stage runs on the processor and loads nothing to find out). `memory` tells how
+    many MiB it will have at its peak, with so many jobs side by side.
     """
 
     name: str
@@ -71,6 +77,7 @@ class Stage:
     config: tuple[str, ...] = ()
     environments: bool = False
     device: bool = False
+    memory: Callable[[Capture, Any, int], float] = little_memory
 
 
 @dataclass

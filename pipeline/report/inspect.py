@@ -16,7 +16,8 @@ from pipeline.engine.changes import WORDS, State, outlook, standing
 from pipeline.engine.plan import Step, plan_as_json
 from pipeline.errors import UserError
 from pipeline.formats.given_mask import read_given
-from pipeline.formats.images import RGB, read_image, write_fault
+from pipeline.formats.image_output import write_fault
+from pipeline.formats.images import RGB, read_image
 from pipeline.geometry.axes import nearest_to_lines
 from pipeline.geometry.cameras import Camera
 from pipeline.geometry.world import Y_UP_FROM

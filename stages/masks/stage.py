@@ -7,6 +7,7 @@ from pathlib import Path
 
 from pipeline.capture import Capture
 from pipeline.engine.stage import Decision, Stage, StageRun
+from stages import memory_estimate
 from stages.masks.parameters import MasksParameters, choose_method
 
 
@@ -21,6 +22,11 @@ def capture_files(capture: Capture) -> Iterable[Path]:
     """Given masks and clean plates; a light stage without mattes is segmented from its frames, which decode digests."""
     masks = sorted(capture.masks.values()) if isinstance(capture.masks, dict) else []
     return [*masks, *sorted(set(capture.clean_plates.values()))]
+
+
+def memory(capture: Capture, parameters: MasksParameters, jobs: int) -> float:
+    """MiB at its peak."""
+    return memory_estimate.masks(capture, parameters, jobs, needed(capture, parameters).passes["segmentation"].run)
 
 
 def run(stage: StageRun) -> None:
@@ -39,4 +45,5 @@ STAGE = Stage(
     run=run,
     capture_files=capture_files,
     config=("clean_plate",),
+    memory=memory,
 )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pipeline.capture import Capture
 from pipeline.capture.view_rules import too_few_views
 from pipeline.engine.stage import Decision, Stage, StageRun
+from stages import memory_estimate
 
 from .parameters import MeshParameters
 
@@ -35,4 +36,7 @@ def run(run: StageRun) -> None:
     make_mesh(run)
 
 
-STAGE = Stage("mesh", 4, MeshParameters, ("decode", "poses", "masks", "olat", "train"), needed, run, config=("up", "unit_m"))
+STAGE = Stage(
+    "mesh", 3, MeshParameters, ("decode", "poses", "masks", "olat", "train"), needed, run, config=("up", "unit_m"),
+    memory=memory_estimate.mesh,
+)  # fmt: skip

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from pipeline.capture import Capture
 from pipeline.engine.stage import Decision, Stage, StageRun
+from stages import memory_estimate
 
 from .parameters import MetricsParameters
 
@@ -47,4 +48,5 @@ STAGE = Stage(
     capture_files=capture_files,
     check=check,
     config=("up", "olat"),
+    memory=memory_estimate.metrics,
 )

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from pipeline.capture import Capture
 from pipeline.engine.stage import Decision, Stage, StageRun
+from stages import memory_estimate
 from stages.olat.parameters import OlatParameters
 
 
@@ -38,6 +39,15 @@ def capture_files(capture: Capture) -> Iterable[Path]:
     return [path for camera in stage.cameras.values() for path in camera.frames]
 
 
+def memory(capture: Capture, parameters: OlatParameters, jobs: int) -> float:
+    """MiB at its peak."""
+    from stages.olat.pixel_fit.many_pixels import ready
+
+    assert capture.light_stage is not None
+    half = all(c.cross and c.cross[0].suffix.lower() == ".exr" for c in capture.light_stage.cameras.values())
+    return memory_estimate.olat(capture, parameters, jobs, ready(half, parameters.precision))
+
+
 def run(stage: StageRun) -> None:
     """Write camNN/ with its maps and preview.png for every camera."""
     from stages.olat.reading.stream import reading
@@ -60,4 +70,5 @@ STAGE = Stage(
     run=run,
     capture_files=capture_files,
     config=("olat", "radiometry"),
+    memory=memory,
 )

@@ -6,6 +6,7 @@ from pipeline.capture import Capture
 from pipeline.capture.view_rules import too_few_views
 from pipeline.engine.stage import Decision, Stage, StageRun
 from pipeline.environments import NO_MAPS, shipped_map
+from stages import memory_estimate
 
 from .given_files import given_files
 from .parameters import RelightParameters
@@ -63,4 +64,5 @@ STAGE = Stage(
     config=("up", "olat"),
     given_files=given_files,
     environments=True,
+    memory=memory_estimate.relight,
 )

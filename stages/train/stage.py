@@ -5,6 +5,7 @@ from __future__ import annotations
 from pipeline.capture import Capture
 from pipeline.capture.view_rules import MIN_TRAINING_VIEWS
 from pipeline.engine.stage import Decision, Stage, StageRun
+from stages import memory_estimate
 
 from .parameters import TrainParameters
 
@@ -58,4 +59,5 @@ STAGE = Stage(
     run=run,
     config=("up", "polarisers"),
     device=True,
+    memory=memory_estimate.train,
 )

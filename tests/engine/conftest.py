@@ -9,8 +9,10 @@ from pathlib import Path
 import pytest
 
 from pipeline.capture import Capture
+from pipeline.engine import call as calls
 from pipeline.engine import cli, places
 from pipeline.engine.execute import make_version
+from pipeline.engine.memory import allowance
 from pipeline.engine.stage import Decision, Stage, StageRun
 from pipeline.errors import UserError
 
@@ -91,7 +93,7 @@ def inspect(capture, steps, folder, found) -> Path:
     return page
 
 
-PROGRAM = cli.Program({}, module="none", report="metrics", inspect=inspect)
+PROGRAM = calls.Program({}, module="none", report="metrics", inspect=inspect)
 
 
 @pytest.fixture
@@ -110,17 +112,18 @@ def command(stages, tmp_path, monkeypatch, capsys) -> Callable[..., Outcome]:
             raise UserError(path, "no known capture layout")
         return Capture(Path(path).absolute(), "numbers", "multiview", "none")
 
-    def here(call: cli.Call, name: str) -> int:
+    def here(call: calls.Call, name: str) -> int:
         ran.append(name)
         steps = cli.make_plan(
             call.capture, call.stages, call.settings.parameters, call.capture.environments, call.dataset.digests
         )
         step = next(s for s in steps if s.stage.name == name)
-        make_version(call.dataset, call.capture, step, call.capture.environments, "cpu", 1, call.progress)
+        allowed = allowance(step, call.capture, call.options.jobs, call.options.memory)
+        make_version(call.dataset, call.capture, step, call.capture.environments, "cpu", allowed, call.progress)
         return 0
 
     monkeypatch.setattr(cli, "load_stages", lambda modules: house)
-    monkeypatch.setattr(cli, "_in_a_process_of_its_own", here)
+    monkeypatch.setattr(cli, "run_stage", here)
     monkeypatch.setattr(places, "open_capture", open_capture)
     monkeypatch.setattr("pipeline.engine.settings.image_size", lambda path: (2, 1))
     monkeypatch.chdir(tmp_path)

@@ -281,14 +281,14 @@ def test_a_gpu_that_is_not_there_is_reported_before_anything_runs(command, refus
 def test_a_capture_that_changes_during_the_run_is_reported_and_the_same_command_goes_on(command, capture, monkeypatch):
     from pipeline.engine import cli
 
-    make = cli._in_a_process_of_its_own
+    make = cli.run_stage
 
     def meanwhile(call, name):
         (capture.root / "number.txt").write_text("7")
         return make(call, name)
 
     with monkeypatch.context() as patch:
-        patch.setattr(cli, "_in_a_process_of_its_own", meanwhile)
+        patch.setattr(cli, "run_stage", meanwhile)
         changed = command("all", capture.root, "--dataset", "d")
     assert changed.status == 2 and "changed during the run" in changed.err
     assert command("all", capture.root, "--dataset", "d").status == 0

@@ -16,10 +16,13 @@ from pipeline.capture import Capture
 from pipeline.engine.dataset import Dataset
 from pipeline.engine.dataset.garbage import collection, remove
 from pipeline.engine.execute import make_version
+from pipeline.engine.memory import Allowance
 from pipeline.engine.plan import Step, make_plan, parse_overrides
 from pipeline.engine.progress import Progress
 from pipeline.engine.stage import Stage, StageRun, parameters_from
 from pipeline.errors import UserError
+
+ANY_MEMORY = Allowance(100.0, 1, float("inf"))
 
 
 def run_all(dataset: Dataset, capture: Capture, stages: dict[str, Stage], overrides: dict | None = None) -> list[Step]:
@@ -27,7 +30,7 @@ def run_all(dataset: Dataset, capture: Capture, stages: dict[str, Stage], overri
     steps = make_plan(capture, stages, overrides or {}, (), dataset.digests)
     for step in steps:
         if step.decision.run:
-            dataset.use(make_version(dataset, capture, step, (), "cpu", 1, Progress(quiet=True)))
+            dataset.use(make_version(dataset, capture, step, (), "cpu", ANY_MEMORY, Progress(quiet=True)))
     return steps
 
 

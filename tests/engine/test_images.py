@@ -16,6 +16,7 @@ from pipeline.formats.images import (
     write_exr,
     write_mask,
     write_png,
+    write_rgb,
     write_stokes,
 )
 
@@ -70,3 +71,12 @@ def test_a_missing_channel_is_named_with_those_that_are_there(tmp_path):
 def test_srgb_encoding_matches_its_inverse():
     x = np.linspace(0, 1, 101, dtype=np.float32)
     np.testing.assert_allclose(srgb_decode(srgb_encode(x)), x, atol=1e-6)
+
+
+@pytest.mark.parametrize("suffix", ["png", "hdr", "exr"])
+def test_a_file_that_the_disk_does_not_take_to_its_end_is_never_taken_for_written(tmp_path, suffix):
+    path = tmp_path / f"noise.{suffix}"
+    path.symlink_to("/dev/full")
+    pixels = np.random.default_rng(0).random((64, 64, 3), np.float32)
+    with pytest.raises(UserError, match=path.name):
+        (write_png if suffix == "png" else write_rgb)(path, pixels)

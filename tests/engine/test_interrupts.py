@@ -45,9 +45,9 @@ STAGE = Stage("slow", 1, Parameters, (), lambda c, p: Decision(True, "always"), 
 """
 PROGRAM = """
 import sys
-from pipeline.engine import cli
+from pipeline.engine import call, cli
 
-PROGRAM = cli.Program({"slow": "house.slow"}, module="house", report="none", inspect=None)
+PROGRAM = call.Program({"slow": "house.slow"}, module="house", report="none", inspect=None)
 if __name__ == "__main__":
     sys.exit(cli.main(PROGRAM, sys.argv[1:]))
 """

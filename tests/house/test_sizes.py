@@ -16,7 +16,6 @@ FILE_LINES, FUNCTION_LINES = 250, 50
 # what gets shorter is lowered or taken out.
 LONG_FILES = {
     "pipeline/capture/mosaic/demosaic_kernels.py": (270, "numba compiles a file's kernels together: one file, one cache"),
-    "pipeline/engine/cli.py": (290, "the commands, each a short function"),
     "pipeline/kernels/simd.py": (290, "one intrinsic after the other, each a few lines of LLVM"),
     "pipeline/rig/lobes.py": (310, "the lobes, each with its derivatives beside it"),
     "pipeline/shading/lobe.py": (360, "definition, fused kernel and its adjoint stand beside each other"),

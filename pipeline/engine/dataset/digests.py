@@ -74,6 +74,12 @@ class DigestCache:
                 return f
         return None
 
+    def take(self, other: DigestCache) -> None:
+        """Know what another cache knows, too."""
+        new = {name: facts for name, facts in other.known.items() if self.known.get(name) != facts}
+        self.known |= new
+        self.changed |= bool(new)
+
     def save(self, write: Callable[[Path, str], None]) -> None:
         """Keep what was learnt, through the given atomic writer."""
         if self.changed:

@@ -6,6 +6,7 @@ import json
 import os
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -48,12 +49,15 @@ def _own_peak_bytes() -> int:
 
 
 class Usage:
-    """Watches this process from `start` to `stop`; survives kills by noting its figures beside the checkpoints."""
+    """Watches this process from `start` to `stop`; survives kills by noting its figures beside the checkpoints.
+
+    Where it has more than `limit_mb` in memory, `overrun` is called, in another thread than the work's.
+    """
 
     INTERVAL_S = 0.5
 
-    def __init__(self, record: Path) -> None:
-        self.record = record
+    def __init__(self, record: Path, limit_mb: float = float("inf"), overrun: Callable[[], None] | None = None) -> None:
+        self.record, self.limit, self.overrun = record, limit_mb * 2**20, overrun
         self.before: dict[str, Any] = {"started": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())}
         self.before |= {"wall_s": 0.0, "cpu_s": 0.0, "peak_rss_mb": 0.0}
         earlier = read_object(record) or {}
@@ -73,7 +77,10 @@ class Usage:
 
     def _watch(self) -> None:
         while not self._done.wait(self.INTERVAL_S):
-            self.peak = max(self.peak, _resident_bytes())
+            now = _resident_bytes()
+            self.peak = max(self.peak, now)
+            if now > self.limit and self.overrun is not None:
+                self.overrun()
             aside = self.record.with_suffix(".new")
             try:
                 aside.write_text(json.dumps(self.figures()))

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from pipeline.capture import Capture
 from pipeline.engine.stage import Decision, Stage, StageRun
+from stages import memory_estimate
 from stages.calib.decode.parameters import DecodeParameters
 
 
@@ -52,4 +53,5 @@ STAGE = Stage(
     run=run,
     capture_files=capture_files,
     config=("stokes", "radiometry", "mosaic", "stack", "raw", "polarisers", "olat"),
+    memory=memory_estimate.decode,
 )

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from pipeline.engine.stage import StageRun
 from pipeline.formats.given_mask import read_given
-from pipeline.formats.images import read_image, srgb_encode, write_fault, write_mask
+from pipeline.formats.image_output import write_fault
+from pipeline.formats.images import read_image, srgb_encode, write_mask
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from pipeline.capture import Capture
 from pipeline.engine.stage import Decision, Stage, StageRun
+from stages import memory_estimate
 from stages.calib.poses.parameters import PosesParameters
 
 
@@ -58,4 +59,5 @@ STAGE = Stage(
     run=run,
     capture_files=capture_files,
     config=("poses", "unit_m", "up"),
+    memory=memory_estimate.poses,
 )

@@ -16,10 +16,16 @@ from pipeline.report.curves import line_chart
 from pipeline.report.render import render
 
 from .figures import headlines, tables, text_of
+from .viewer import page
+from .viewer.model_scene import model_scene
+from .viewer.rig_scene import rig_scene
+
+FOLDER = Path(__file__).parent
 
 
 def write_report(run: StageRun, metrics: dict[str, Any], manifests: Mapping[str, dict[str, Any]]) -> None:
     """Write report.html into the stage's output."""
+    scene = model_scene(run) or rig_scene(run)
     context = {
         "text_of": text_of,
         "name": run.capture.root.name,
@@ -27,6 +33,7 @@ def write_report(run: StageRun, metrics: dict[str, Any], manifests: Mapping[str,
         "tiles": headlines(metrics),
         "plan": plan_rows(run, manifests),
         "views": [], "environment": [], "relit": [], "olat": [], "lobe": {}, "disagreement": [],
+        "scene": scene, "scene_text": page.embedded(scene), "script": page.script(), "viewer_style": page.style(),
         "curves": training_curves(run.inputs["train"] / TRAIN_LOG) if "train" in run.inputs else [],
         "costs": cost_rows(manifests),
         "tables": tables(metrics),
@@ -48,7 +55,7 @@ def write_report(run: StageRun, metrics: dict[str, Any], manifests: Mapping[str,
         context["olat"] = rig_pictures.olat_cards(run, metrics)
         context["disagreement"] = rig_pictures.disagreement_cards(run)
         context["relit"] = rig_pictures.relit_cards(run) if "relight" in run.inputs else []
-    (run.output / "report.html").write_text(render("report.html.jinja", context, Path(__file__).parent), encoding="utf-8")
+    (run.output / "report.html").write_text(render("report.html.jinja", context, FOLDER), encoding="utf-8")
 
 
 PASSES = {

@@ -9,7 +9,7 @@ from types import TracebackType
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.formats.images import write_fault
+from pipeline.formats.image_output import write_fault
 from stages.olat.pixel_fit.result_layout import MAPS, map_slices
 from stages.olat.reading.scanline_bands import Band
 

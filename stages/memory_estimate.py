@@ -1,0 +1,82 @@
+"""What each stage has in memory at its peak (MiB), before it runs: its libraries, and what grows with the pictures.
+
+Constants were measured with the pinned libraries on two cores: captures of 64 to 512 px, 10 to 40 views. One stage varies by a
+fifth from run to run, more where it compiles kernels first (COMPILING).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pipeline.capture import Capture
+
+MEBI = 2**20
+PROGRAM = 80.0  # Python, numpy and this program
+READING = 195.0  # and OpenImageIO, numba
+COMPILING = 350.0  # LLVM, while the fits of a light stage are compiled
+SAMPLE_BYTES = {".exr": 2}  # half floats as they are; others are read as floats
+
+
+def decode(capture: Capture, parameters: Any, jobs: int) -> float:
+    """A view at a time: its files, its Stokes frame, what is written. A light stage's frames are read where they are no EXR."""
+    if capture.light_stage is not None:
+        plain = all(c.cross and c.cross[0].suffix.lower() == ".exr" for c in capture.light_stage.cameras.values())
+        return PROGRAM if plain else READING + 5
+    mosaic = "mosaic" in capture.layout
+    return READING + 30 * mosaic + 160 * _largest(capture) * max(1, jobs) / MEBI
+
+
+def poses(capture: Capture, parameters: Any, jobs: int) -> float:
+    """Given cameras are a table; found ones are COLMAP's pictures and features at `max_size`, on every core."""
+    if capture.cameras is not None and not parameters.triangulate:
+        return PROGRAM
+    return 300.0 + 60 * min(_largest(capture), parameters.max_size**2) / MEBI
+
+
+def masks(capture: Capture, parameters: Any, jobs: int, segmented: bool) -> float:
+    """Masks of all views, as bytes and as distances; colour models of the pictures where they are segmented."""
+    if capture.light_stage is not None and not segmented:
+        return PROGRAM + 5
+    return 230.0 + 13 * sum(capture.pixels) / MEBI + (130.0 if segmented else 0.0)
+
+
+def olat(capture: Capture, parameters: Any, jobs: int, compiled: bool) -> float:
+    """Two bands of samples for each camera that is fitted beside another; the program that fits, or LLVM that compiles it."""
+    assert capture.light_stage is not None
+    cameras = list(capture.light_stage.cameras.values())
+    samples = max(
+        c.camera.width * c.camera.height * 6 * len(c.cross) * SAMPLE_BYTES.get(c.cross[0].suffix.lower(), 4) / MEBI
+        for c in cameras if c.cross
+    )  # fmt: skip
+    lanes = max(1, min(jobs, len(cameras)))
+    return 130.0 + lanes * min(2 * parameters.band_mb, samples) + (0.0 if compiled else COMPILING)
+
+
+def train(capture: Capture, parameters: Any, jobs: int) -> float:
+    """torch; every view with its Stokes frame, mask and rays; the splats with their moments and buffers of a step."""
+    return 650.0 + 100 * sum(capture.pixels) / MEBI + 3e-3 * parameters.max_splats
+
+
+def mesh(capture: Capture, parameters: Any, jobs: int) -> float:
+    """open3d; depths of all views, and the voxels near the surface."""
+    return 390.0 + 55 * sum(capture.pixels) / MEBI + (150.0 if parameters.poisson else 0.0)
+
+
+def relight(capture: Capture, parameters: Any, jobs: int) -> float:
+    """A light stage: its maps. A model: open3d's tree of the mesh, the maps filtered at every roughness, a view's buffers."""
+    largest = _largest(capture)
+    if capture.light_stage is not None:
+        return 280.0 + 250 * largest / MEBI
+    return 500.0 + 3.5 * parameters.cube + 250 * sum(capture.pixels) / MEBI / max(1, len(capture.views)) ** 0.5
+
+
+def metrics(capture: Capture, parameters: Any, jobs: int) -> float:
+    """The report's pictures; where there is a true mesh, open3d and the sampled points."""
+    if capture.light_stage is not None:
+        return 95.0 + 60 * _largest(capture) / MEBI
+    solid = capture.truth.root.joinpath("gt", "mesh.ply").exists()
+    return (150.0 if not solid else 160.0) + 60 * _largest(capture) / MEBI
+
+
+def _largest(capture: Capture) -> int:
+    return max(capture.pixels, default=0)

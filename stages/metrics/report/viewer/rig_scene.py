@@ -1,0 +1,98 @@
+"""What the viewer shows of a light stage: each camera's fitted maps, pixel by pixel, for a light that the pointer moves."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.engine.stage import StageRun
+from pipeline.formats import dataset_files as files
+from pipeline.formats.images import RGB, XYZ, read_image
+from pipeline.geometry.cameras import Camera, camera_from_frame
+from pipeline.report.pictures import INFERNO, VIRIDIS, crop_box, evenly_chosen
+from pipeline.rig import lobes
+from pipeline.rig.lobe_names import LOBES
+
+from .packing import octahedral, packed
+
+PIXELS = 280_000
+"""Of all cameras together: about 7 MB in the page. Beyond it every 2nd, 3rd, ... pixel of a camera is taken."""
+MOST = 24  # cameras
+NOTHING = -32768  # of both numbers where there is no direction
+SIGMA_SHOWN = 0.6  # end of its colour scale, as in the report's pictures
+HALF_MAX = 65504.0
+
+
+def rig_scene(run: StageRun) -> dict[str, Any] | None:
+    """The maps as `rig.js` takes them, or None where no camera has any."""
+    if "olat" not in run.inputs or "decode" not in run.inputs:
+        return None
+    path = run.inputs["decode"] / "olat.json"
+    known = json.loads(path.read_text())["cameras"]
+    folders = {f.name: f for f in files.subfolders(run.inputs["olat"]) if f.name in known}
+    names = evenly_chosen(sorted(folders), MOST)
+    cameras = []
+    for name in names:
+        camera = camera_from_frame({"file_path": name, **known[name]["camera"]}, {}, path)
+        entry = camera_entry(folders[name], camera, PIXELS // len(names))
+        if entry is not None:
+            cameras.append({"name": name, **entry})
+    if not cameras:
+        return None
+    lobe = json.loads((run.inputs["olat"] / files.FITTED_LOBE).read_text())["lobe"]
+    return {
+        "kind": "rig", "cameras": cameras, "nothing": NOTHING,
+        "constants": {
+            "PI": float(np.pi), "LOBE": LOBES[lobe], "VIEW_FLOOR": lobes.VIEW_FLOOR, "LIGHT_FLOOR": float(lobes.LIGHT_FLOOR),
+            "SIGMA_SHOWN": SIGMA_SHOWN, **{name.upper(): k for name, k in _shader_names().items()},
+        },
+        "scales": {"inferno": INFERNO, "viridis": VIRIDIS},
+    }  # fmt: skip
+
+
+def _shader_names() -> dict[str, int]:
+    return {f"lobe_{name.replace('-', '_')}": k for name, k in LOBES.items()}
+
+
+def camera_entry(folder: Path, camera: Camera, most: int) -> dict[str, Any] | None:
+    """One camera's maps at the pixels of the object, every step-th where there are more than `most`; None without any.
+
+    `size` of the cut picture, `inside` bytes [H, W], and for each pixel inside, row by row: `normal_d`, `normal_s`, `tangent`,
+    `view` octahedral [P, 2] (world; view towards the camera), `albedo` [P, 3], and `lobe` [P, 3] (larger and smaller sigma,
+    specular albedo) as half floats in uint16. `axes`: right, up, back of the camera [3][3], world.
+    """
+    normal = read_image(files.camera_map(folder, "diffuse_normal"), XYZ)
+    there = np.linalg.norm(normal, axis=-1) > 0.5
+    if not there.any():
+        return None
+    step = int(np.ceil(np.sqrt(max(1.0, there.sum() / most))))
+    box = crop_box([there])
+    cut = (slice(box[0].start, box[0].stop, step), slice(box[1].start, box[1].stop, step))
+    inside = there[cut]
+
+    def of(name: str, channels: tuple[str, ...]) -> NDArray:
+        return np.nan_to_num(read_image(files.camera_map(folder, name), channels)[cut][inside])
+
+    lobe = np.concatenate([of("sigma", ("X", "Y")), of("specular_albedo", ("Y",))], -1)
+    right, down, ahead = camera.world_to_camera[:3, :3]
+    return {
+        "size": [inside.shape[1], inside.shape[0]], "step": step,
+        "axes": [right.tolist(), (-down).tolist(), (-ahead).tolist()],
+        "inside": packed(inside.astype(np.uint8)),
+        "normal_d": packed(_directions(of("diffuse_normal", XYZ))), "normal_s": packed(_directions(of("specular_normal", XYZ))),
+        "tangent": packed(_directions(of("tangent", XYZ))), "view": packed(octahedral(-camera.rays()[cut][inside])),
+        "albedo": packed(_halves(of("diffuse_albedo", RGB))), "lobe": packed(_halves(lobe)),
+    }  # fmt: skip
+
+
+def _directions(vectors: NDArray) -> NDArray[np.int16]:
+    some = np.linalg.norm(vectors, axis=-1, keepdims=True) > 0.5
+    return np.where(some, octahedral(vectors), NOTHING).astype(np.int16)
+
+
+def _halves(values: NDArray) -> NDArray[np.uint16]:
+    return np.clip(values, -HALF_MAX, HALF_MAX).astype("<f2").view(np.uint16)

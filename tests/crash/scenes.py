@@ -1,0 +1,146 @@
+"""Small runs for crash points: tiny stages over a made-up capture, and the program's exact stages over three tiny pictures."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.capture import Capture
+from pipeline.engine import call as calls
+from pipeline.engine import cli, places
+from pipeline.engine.stage import Decision, Stage, StageRun
+
+
+class Scene:
+    """A capture, the stages over it, and what an undisturbed run leaves."""
+
+    name = ""
+
+    def __init__(self, capture: Path, stages: dict[str, Stage], last: str) -> None:
+        self.capture, self.stages = capture, stages
+        self.program = calls.Program({}, module="none", report=last, inspect=lambda *a: Path())
+        self.whole: dict[str, str] = {}
+
+    def call(self, command: str, dataset: Path) -> int:
+        """Run a command of the program in this process; a stage's own process is a fork."""
+        cli.load_stages = lambda modules: self.stages  # this process is a fork of its own
+        cli.run_stage = self.run_stage
+        arguments = [command, str(self.capture), "--dataset", str(dataset), "--params", self.parameters()]
+        return cli.main(self.program, arguments)
+
+    def parameters(self) -> str:
+        """PARAMS of every call."""
+        return ""
+
+    def run_stage(self, call: calls.Call, name: str) -> int:
+        """Make one stage as its own process does."""
+        from points import forked
+
+        return forked(lambda: cli.main(self.program, [name, str(self.capture), "--alone", "--dataset", str(call.dataset.root)]),
+                      call.dataset.root.parent / "log")  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Factor:
+    factor: int = field(default=2)
+
+
+def count(run: StageRun) -> None:
+    """A file of a few kilobytes, a checkpoint before it."""
+    (run.scratch / "half").write_text("half")
+    (run.output / "inner").mkdir()
+    (run.output / "inner" / "count.txt").write_text((run.capture.root / "number.txt").read_text() * 1000)
+
+
+def double(run: StageRun) -> None:
+    """Reads the first."""
+    (run.output / "double.txt").write_text((run.inputs["count"] / "inner" / "count.txt").read_text() * 2)
+
+
+def always(capture: Capture, parameters: object) -> Decision:
+    return Decision(True, "always")
+
+
+class Stub(Scene):
+    """Two stages that cost nothing."""
+
+    name = "stub"
+
+    def __init__(self, folder: Path) -> None:
+        folder.mkdir(parents=True)
+        (folder / "number.txt").write_text("21")
+        places.open_capture = lambda path: Capture(Path(path).absolute(), "numbers", "multiview", "none")
+        stages = {
+            "count": Stage("count", 1, Factor, (), always, count, lambda c: [c.root / "number.txt"]),
+            "double": Stage("double", 1, Factor, ("count",), always, double),
+        }
+        super().__init__(folder, stages, "double")
+
+
+def careless(run: StageRun) -> None:
+    """Adds to what an earlier leg left, as no stage should."""
+    with (run.scratch / "half").open("a") as stream:
+        stream.write("21")
+    (run.output / "count.txt").write_text((run.scratch / "half").read_text())
+
+
+class Careless(Stub):
+    """A stage that a stop does harm to: what the search for unmended stops must find."""
+
+    name = "careless"
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__(folder)
+        self.stages = {"double": Stage("double", 1, Factor, (), always, careless, lambda c: [c.root / "number.txt"])}
+
+
+LOADED = ("OpenImageIO", "cv2", "stages.calib.decode.write_frames", "stages.calib.poses.given", "stages.masks.run")
+VIEWS, SIDE = 3, 16
+
+
+def write_views(folder: Path) -> None:
+    """Stokes images of a disc from three sides, with cameras and masks."""
+    from pipeline.formats.images import write_png, write_stokes
+    from synth.orbit import look_at, orbit
+
+    y, x = (np.mgrid[:SIDE, :SIDE] + 0.5) / SIDE * 2 - 1
+    inside = np.hypot(x, y) < 0.7
+    frames = []
+    for number, position in enumerate(orbit(VIEWS, 5.0, 10, 50)):
+        light = (0.3 + 0.1 * x + 0.05 * number) * inside
+        stokes = np.stack([light, 0.2 * light * x, 0.2 * light * y], -1)[..., None] * np.array([1.0, 0.8, 0.6])
+        write_stokes(folder / "images" / f"{number:03}.exr", stokes)
+        write_png(folder / "masks" / f"{number:03}.png", np.where(inside, 255, 0).astype(np.uint8))
+        files = {"file_path": f"images/{number:03}.exr", "mask_path": f"masks/{number:03}.png"}
+        frames.append({**files, "transform_matrix": look_at(position).tolist()})
+    shared = {"camera_model": "OPENCV", "fl_x": 30.0, "fl_y": 30.0, "cx": 8.0, "cy": 8.0, "w": SIDE, "h": SIDE}
+    (folder / "transforms.json").write_text(json.dumps({**shared, "frames": frames}))
+
+
+class Real(Scene):
+    """Decode, poses and masks, as they are."""
+
+    name = "real"
+
+    def __init__(self, folder: Path) -> None:
+        from pipeline.capture import open_capture
+        from pipeline.engine.plan import load_stages
+        from stages import STAGES
+
+        for module in LOADED:
+            importlib.import_module(module)  # once, for all forks
+        places.open_capture = open_capture
+        write_views(folder)
+        exact = ("decode", "poses", "masks")
+        stages = load_stages({name: STAGES[name] for name in exact})
+        for name, stage in stages.items():
+            stages[name] = dataclasses.replace(stage, needs=tuple(n for n in stage.needs if n in exact))
+        super().__init__(folder, stages, "masks")
+
+
+SCENES = {"stub": Stub, "real": Real, "careless": Careless}
