@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 from pipeline.engine.call import Call
-from pipeline.engine.interrupts import in_child, wait_for
+from pipeline.engine.interrupts import in_child, unheard, wait_for
 from pipeline.errors import UserError
 
 
@@ -32,7 +32,8 @@ def stage_environment() -> dict[str, str]:
 def run_stage(call: Call, name: str) -> int:
     """Run one stage in a child and wait for it; returns its exit status. Raises UserError where a signal ended it."""
     sys.stdout.flush()
-    child = subprocess.Popen(stage_command(call, name), env=stage_environment(), preexec_fn=in_child)
+    with unheard():
+        child = subprocess.Popen(stage_command(call, name), env=stage_environment(), preexec_fn=in_child)
     status = wait_for(child)
     if status < 0:
         raise ended_by_signal(name, -status)

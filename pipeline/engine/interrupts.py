@@ -42,6 +42,16 @@ def interruptible() -> Iterator[None]:
             signal.signal(s, handler)
 
 
+@contextmanager
+def unheard() -> Iterator[None]:
+    """Signals of ENDING wait until its end: one that came while a process is begun would be lost in what runs about a fork."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, ENDING)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 def wait_for(child: subprocess.Popen) -> int:
     """The exit status of a child; an Interrupted here ends the child first: asked by SIGTERM, then by SIGKILL."""
     try:
@@ -63,3 +73,4 @@ def in_child() -> None:
     pr_set_pdeathsig = 1
     ctypes.CDLL(None).prctl(pr_set_pdeathsig, signal.SIGKILL)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)

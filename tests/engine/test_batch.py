@@ -18,6 +18,9 @@ from pipeline.engine.batch.captures import places_of
 from pipeline.engine.stage import Stage
 from pipeline.errors import UserError
 
+# jax, loaded by another test of the process, warns of forks: what is forked here runs no thread of it.
+pytestmark = pytest.mark.filterwarnings("ignore:os.fork:RuntimeWarning")
+
 
 class Fork:
     """A stage's process without the start of a new interpreter."""
@@ -27,6 +30,7 @@ class Fork:
         self.pid = os.fork()
         if self.pid == 0:
             signal.signal(signal.SIGTERM, signal.SIG_DFL)
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGTERM})
             os.dup2(stdout.fileno(), 1)
             sys.stdout = sys.stderr = os.fdopen(os.dup(1), "w", buffering=1)
             status = 1

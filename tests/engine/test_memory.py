@@ -19,6 +19,9 @@ from pipeline.engine.plan import Step, load_stages
 from pipeline.engine.stage import Decision
 from stages import STAGES
 
+# jax, loaded by another test of the process, warns of forks: what is forked here runs no thread of it.
+pytestmark = pytest.mark.filterwarnings("ignore:os.fork:RuntimeWarning")
+
 
 @pytest.fixture
 def hungry(command, capture):

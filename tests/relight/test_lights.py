@@ -143,7 +143,7 @@ def test_only_what_the_mesh_leaves_free_arrives():
     small = SphereLight((0.0, 3.0, 4.0), 0.2, (5.0, 4.0, 3.0))
     light = PlacedLighting([small], MODEL, None)
     free = light._direct(surface)
-    light._occluder = Wall()
+    light.occluder = Wall()
     shadowed = light._direct(surface)
     assert (shadowed[:, 0] <= free[:, 0] + 1e-6).all()
     seen = samples(small, surface.position, 8).direction[..., 0]

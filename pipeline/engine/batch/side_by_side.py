@@ -11,11 +11,12 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import BinaryIO
 
 from pipeline.engine.batch.logs import log_file, open_log
 from pipeline.engine.batch.row import Row
 from pipeline.engine.child import ended_by_signal, stage_command, stage_environment
-from pipeline.engine.interrupts import GRACE_S, in_child
+from pipeline.engine.interrupts import GRACE_S, in_child, unheard
 from pipeline.engine.plan import Step
 from pipeline.engine.progress import Progress, brief
 from pipeline.errors import UserError, line_of
@@ -98,15 +99,19 @@ class SideBySide:
             log = log_file(self.own, row.place.name, name)
             with open_log(self.own, row.place.name, name, anew=True) as stream:
                 command = stage_command(row.call, name, jobs=1)
-                process = subprocess.Popen(
-                    command, env=self.environment, preexec_fn=in_child, stdout=stream, stderr=stream, stdin=subprocess.DEVNULL
-                )
+                self._begin(row, step, command, stream, log)
         except (UserError, OSError) as error:
             self._fail(row, step, line_of(error))
-            return True
-        self.running[process.pid] = Work(row, step, process, log, row.memory_mb(step))
-        self.selector.register(os.pidfd_open(process.pid), selectors.EVENT_READ, process.pid)
         return True
+
+    def _begin(self, row: Row, step: Step, command: list[str], stream: BinaryIO, log: Path) -> None:
+        """Begin a stage's process, whose end is then waited for: an interrupt comes before both or after both."""
+        with unheard():
+            process = subprocess.Popen(
+                command, env=self.environment, preexec_fn=in_child, stdout=stream, stderr=stream, stdin=subprocess.DEVNULL
+            )
+            self.running[process.pid] = Work(row, step, process, log, row.memory_mb(step))
+            self.selector.register(os.pidfd_open(process.pid), selectors.EVENT_READ, process.pid)
 
     def _ended(self) -> Iterator[Work]:
         """Wait until at least one stage has ended."""

@@ -63,4 +63,4 @@ def rgbe(radiance: NDArray) -> NDArray[np.uint8]:
 def radiance_of(pixels: NDArray[np.uint8]) -> NDArray[np.float64]:
     """Radiance [..., 3] of `rgbe`: the middle of each mantissa's step."""
     scale = np.where(pixels[..., 3] > 0, np.exp2(pixels[..., 3].astype(float) - RGBE_BIAS), 0)
-    return (pixels[..., :3] + 0.5) * scale[..., None]
+    return np.asarray((pixels[..., :3] + 0.5) * scale[..., None], np.float64)
