@@ -12,7 +12,7 @@ pytestmark = pytest.mark.slow
 
 EDITS = {  # a constant that the kernel takes from another file
     "capture": ("pipeline/formats/sample_kernels.py", "2.0**112)", "2.0**113)"),
-    "shading": ("pipeline/optics/fresnel.py", "0.865945551", "0.465945551"),
+    "shading": ("pipeline/optics/fresnel.py", "0.192029411", "0.392029411"),
     "rasteriser": ("stages/train/rasterize/constants.py", "\nALPHA_MAX = 0.99\n", "\nALPHA_MAX = 0.5\n"),
     "olat": ("pipeline/kernels/numerics.py", "LARGEST = np.float32(1e30)", "LARGEST = np.float32(0.5)"),
     "object file": ("stages/olat/probe.py", "SHARE = 0.25", "SHARE = 0.75"),
