@@ -20,7 +20,7 @@ EDITS = {  # a constant that the kernel takes from another file
     "masks": ("stages/masks/probe.py", "SHARE = 0.25", "SHARE = 0.75"),
 }
 BEFORE = {"capture": 1.0, "shading": 0.9082, "rasteriser": 0.99, "olat": 1.0, "object file": 0.25, "mesh": 0.25, "masks": 0.25}
-AFTER = {"capture": 2.0, "shading": 0.5082, "rasteriser": 0.5, "olat": 0.0, "object file": 0.75, "mesh": 0.75, "masks": 0.75}
+AFTER = {"capture": 2.0, "shading": 0.8082, "rasteriser": 0.5, "olat": 0.0, "object file": 0.75, "mesh": 0.75, "masks": 0.75}
 
 PROBE = """
 from {module} import TWICE
