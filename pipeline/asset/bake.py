@@ -26,8 +26,8 @@ GUESSED = 0.5
 
 
 @dataclass(frozen=True)
-class Textured:
-    """A mesh in an atlas, with textures. World units and axes.
+class AtlasMesh:
+    """A mesh in an atlas, with textures.
 
     position, normal [W, 3], tangent [W, 4] (`vertex_tangents`), faces [F, 3], uv [W, 2] (v from the top row down).
     maps [H, W, C] by name: albedo (3), roughness, normal (3, tangent space), ior, specular (reflectance at normal incidence),
@@ -40,6 +40,12 @@ class Textured:
     faces: NDArray[np.int64]
     uv: NDArray[np.float64]
     maps: dict[str, NDArray[np.float32]]
+
+
+@dataclass(frozen=True)
+class Textured(AtlasMesh):
+    """What baking makes, in world units and axes; texel: a texel's size, guessed: share of texels that no view sees."""
+
     texel: float
     guessed: float
 

@@ -10,23 +10,16 @@ from numpy.typing import NDArray
 from pipeline.geometry.world import Y_UP_FROM
 from pipeline.optics.fresnel import hemispherical_transmittance
 
-from .bake import Textured
+from .bake import AtlasMesh, Textured
 
 
 @dataclass(frozen=True)
-class Asset:
+class Asset(AtlasMesh):
     """A textured surface in metres, y up: what every file holds.
 
-    position, normal [W, 3], tangent [W, 4], faces [F, 3], uv [W, 2] (v from the top row down), maps [H, W, C] by name
-    (`Textured`'s, and base_color: the albedo as renderers take it). ior: the median, over what is seen.
+    maps: `AtlasMesh`'s, and base_color: the albedo as renderers take it. ior: the median, over what is seen.
     """
 
-    position: NDArray[np.float64]
-    normal: NDArray[np.float64]
-    tangent: NDArray[np.float64]
-    faces: NDArray[np.int64]
-    uv: NDArray[np.float64]
-    maps: dict[str, NDArray[np.float32]]
     ior: float
 
 

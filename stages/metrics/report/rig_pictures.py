@@ -83,11 +83,8 @@ def _maps(run: StageRun, folder: Path) -> list[dict[str, str]]:
     add(pictures.scale(sigma[..., 1], 0, 0.6, pictures.VIRIDIS, there), "smaller σ", "0 to 0.6")
     add(pictures.scale(one("anisotropy"), 0, 1, pictures.VIRIDIS, there), "anisotropy", "0 to 1")
     add(pictures.scale(one("roughness"), 0, 1, pictures.VIRIDIS, there), "roughness", "r = (σx σy)^¼, 0 to 1")
-    add(
-        pictures.to_bytes(np.abs(fitted("tangent", XYZ))),
-        "tangent",
-        "direction of the larger σ, |x y z| as red green blue; black: none",
-    )
+    tangent = pictures.to_bytes(np.abs(fitted("tangent", XYZ)))
+    add(tangent, "tangent", "direction of the larger σ, |x y z| as red green blue; black: none")
     for ending, what in (("d", "diffuse"), ("s", "specular")):
         for name, text in (("visibility", "share of lights seen"), ("occlusion", "share of light arriving")):
             add(pictures.scale(one(f"{name}_{ending}"), 0, 1, pictures.VIRIDIS, there), f"{what} {name}", text)
