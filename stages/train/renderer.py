@@ -11,7 +11,8 @@ from pipeline.shading.occluded import LEAST_BLOCKED
 
 from .indirect.substitutes import substitute
 from .parameters import TrainParameters
-from .render_view import LEAST_ALPHA, GBuffer, Rendered, rasterise_view, render_view
+from .pixel_attributes import LEAST_ALPHA
+from .render_view import GBuffer, Rendered, rasterise_view, render_view
 from .scene import Scene
 from .splats.gaussians import ROUGHNESS_FLOOR, Splats
 from .splats.splat_occlusion import carried_hull, trace_pixels, trace_splats
