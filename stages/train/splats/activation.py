@@ -34,7 +34,7 @@ class Activation(torch.autograd.Function):
         shared = [0.0, 0.0, *(float(t.detach()) for t in raw[6:])]
         values = [np.empty_like(a) for a in (opacity, albedo, *offsets)]
         for a, shift, (low, span), out in zip((opacity, albedo, *offsets), shared, _SIGMOIDS, values):
-            kernels.sigmoids(a.ravel(), *np.float32((shift, low, span)), out.ravel())
+            kernels.sigmoids(a.ravel(), *np.array((shift, low, span), np.float32), out.ravel())
         ctx.raw, ctx.normals, ctx.scales, ctx.values = normal, normals, scales, values
         outputs = [torch.from_numpy(a) for a in (normals, quaternions, scales, *values)]
         ctx.mark_non_differentiable(outputs[1])
@@ -47,7 +47,7 @@ class Activation(torch.autograd.Function):
         kernels.orient_slopes(ctx.raw, ctx.normals, ctx.scales, g_normal, g_scale, raw, log_scale)
         out = [np.empty_like(a) for a in ctx.values]
         for value, (low, span), g, slope in zip(ctx.values, _SIGMOIDS, g_values, out):
-            kernels.sigmoid_slopes(value.ravel(), *np.float32((low, span)), g.ravel(), slope.ravel())
+            kernels.sigmoid_slopes(value.ravel(), *np.array((low, span), np.float32), g.ravel(), slope.ravel())
         shared = [torch.tensor(a.sum(), dtype=torch.float32) for a in out[2:]]
         return (*(torch.from_numpy(a) for a in (raw, log_scale, *out)), *shared)
 
@@ -62,7 +62,7 @@ class TakenRows(torch.autograd.Function):
         means, normals, quaternions, scales, opacities, albedo, roughness, ior = (_array(t) for t in fields)
         more = np.empty((len(means), 0), np.float32) if extra is None else _array(extra)
         index, count = rows.numpy(), len(rows)
-        out = tuple(np.empty((count, c), np.float32) for c in (3, 4, 2)) + (np.empty(count, np.float32),)
+        out = tuple(np.empty((count, *shape), np.float32) for shape in ((3,), (4,), (2,), ()))
         features = np.empty((count, 8 + more.shape[1]), np.float32)
         kernels.take_rows(
             index, means, quaternions, scales, opacities, normals, albedo, roughness, ior, more, out, features

@@ -39,7 +39,7 @@ def _update(first: torch.Tensor, second: torch.Tensor, gradient: torch.Tensor, s
 
     shape = (-1, gradient.shape[-1]) if together else (-1, 1)
     update = torch.empty_like(gradient)
-    factors = np.float32((BETA1, BETA2, 1 - BETA1**steps, 1 - BETA2**steps, EPSILON))
+    factors = np.array((BETA1, BETA2, 1 - BETA1**steps, 1 - BETA2**steps, EPSILON), np.float32)
     rows = [t.detach().view(shape).numpy() for t in (gradient, *moments[:2], update)]
     adam_rows(rows[0], rows[1], rows[2], *factors, together, rows[3])
     return update

@@ -79,7 +79,7 @@ def mask_loss_plainly(alpha: torch.Tensor, target: torch.Tensor, weight: torch.T
 
 
 def _fused(predicted: torch.Tensor, target: torch.Tensor, weight: torch.Tensor) -> bool:
-    """Whether one pass of a kernel (numba, float32, CPU) gives a loss and its gradient in `predicted`, the only one asked for."""
+    """Whether one pass of a kernel (numba, float32, CPU) gives a loss and its gradient in `predicted`, the only one wanted."""
     tensors = (predicted, target, weight)
     plain = all(t.device.type == "cpu" and t.dtype == torch.float32 for t in tensors)
     return plain and not (target.requires_grad or weight.requires_grad)
@@ -94,7 +94,7 @@ class _PixelLoss(torch.autograd.Function):
 
         arrays = [t.detach().contiguous().numpy() for t in (predicted, target, weight)]
         gradient = np.empty_like(arrays[0])
-        total = getattr(pixel_kernels, name)(*arrays, *np.float32((TOE, GAMMA, CHARBONNIER)), gradient)
+        total = getattr(pixel_kernels, name)(*arrays, *np.array((TOE, GAMMA, CHARBONNIER), np.float32), gradient)
         share = 1 / max(float(arrays[2].sum(dtype=np.float64)), 1e-12)
         ctx.gradient, ctx.share = torch.from_numpy(gradient), share
         return torch.tensor(total * share, dtype=torch.float32)
