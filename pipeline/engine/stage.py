@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pipeline.engine.costs.cost import Cost
 from pipeline.engine.progress import Progress
 from pipeline.errors import UserError, nearest
 from pipeline.formats.typed_values import typed
@@ -48,6 +49,11 @@ def little_memory(capture: Capture, parameters: Any, jobs: int) -> float:
     return 150.0
 
 
+def no_costs(capture: Capture, parameters: Any) -> Mapping[str, Cost]:
+    """For a stage of which nothing is estimated."""
+    return {}
+
+
 def no_check(capture: Capture) -> None:
     """For a stage whose files are checked where the capture is recognised."""
 
@@ -62,7 +68,8 @@ class Stage:
     stage runs. `given_files` are files that its parameters name: they enter its key, and it may refuse them before anything
     runs. `environments` says that it reads the maps to relight under, `device` that it runs on
     the device that a call names (every other stage runs on the processor and loads nothing to find out). `memory` tells how
-    many MiB it will have at its peak, with so many jobs side by side.
+    many MiB it will have at its peak, with so many jobs side by side. `costs` are its parts (ITSELF, COMPILING and its passes,
+    whether they run or not), and `parallel` is the share of its processor time that spreads over the cores.
     """
 
     name: str
@@ -78,6 +85,8 @@ class Stage:
     environments: bool = False
     device: bool = False
     memory: Callable[[Capture, Any, int], float] = little_memory
+    costs: Callable[[Capture, Any], Mapping[str, Cost]] = no_costs
+    parallel: float = 0.0
 
 
 @dataclass
@@ -85,7 +94,8 @@ class StageRun:
     """What a stage's `run` is given.
 
     `inputs` are the published folders of the upstream stages that ran, `output` the folder to fill (it appears under
-    its key when `run` returns), `scratch` a folder that outlives a kill, for checkpoints of this very key.
+    its key when `run` returns), `scratch` a folder that outlives a kill, for checkpoints of this very key. `left_out` is what
+    the plan leaves out: for each {"saved_s", "saved_mb", "reason"}.
     """
 
     capture: Capture
@@ -99,6 +109,7 @@ class StageRun:
     jobs: int = 1
     warnings: list[str] = field(default_factory=list)
     facts: dict[str, Any] = field(default_factory=dict)
+    left_out: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     def warn(self, text: str) -> None:
         """Tell the user of something that does not stop the work; kept in the manifest."""

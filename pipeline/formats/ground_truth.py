@@ -15,7 +15,7 @@ from pipeline.formats.images import XYZ, read_image
 from pipeline.formats.json_file import read_json
 
 FOLDER, MAPS = "gt", "maps.npz"
-TRUE_MAPS = ("mask", "normal", "albedo", "dp_du")
+TRUE_MAPS = ("mask", "normal", "albedo", "dp_du", "specular_albedo", "sigma", "occlusion")
 """The arrays of maps.npz that are read."""
 
 
