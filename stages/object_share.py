@@ -11,8 +11,8 @@ from pipeline.capture import Capture
 from pipeline.errors import UserError
 
 USUAL = 0.15
-"""Taken where no mask is given: pictures with a background frame the object more loosely (0.11 where it was measured) than those
-that come with masks (0.22 to 0.43)."""
+"""Taken where no mask is given: pictures with a background frame the object more loosely (0.11 where it was measured) than
+those that come with masks (0.22 to 0.43)."""
 LOOKED_AT = 4
 
 

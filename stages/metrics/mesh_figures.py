@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from pipeline.errors import UserError
 from pipeline.formats.dataset_files import DISAGREEMENT, MESH, POISSON
 from pipeline.formats.images import read_exr
+from pipeline.formats.obj import read_obj
 from pipeline.formats.ply import Ply
 from pipeline.geometry.rays import RayMesh
 from pipeline.geometry.world_offset import stored_offset
@@ -51,12 +52,15 @@ def surface_figures(mesh: tuple[NDArray, NDArray], truth: tuple[NDArray, NDArray
 
 
 def read_mesh(path: Path) -> tuple[NDArray, NDArray]:
-    """Vertices [V, 3] and triangles [F, 3] of a PLY mesh. Raises UserError."""
-    ply = Ply(path)
-    triangles = ply.triangles()
+    """Vertices [V, 3] and triangles [F, 3] of a PLY or OBJ mesh. Raises UserError."""
+    if path.suffix == ".obj":
+        vertices, triangles = read_obj(path)
+    else:
+        ply = Ply(path)
+        vertices, triangles = ply.vertices(), ply.triangles()
     if not len(triangles):
         raise UserError(path, "holds no triangle", "mend or remove it")
-    return ply.vertices(), triangles
+    return vertices, triangles
 
 
 def mesh_table(folder: Path, truth: Path, count: int, unit_m: float | None = None) -> Table:

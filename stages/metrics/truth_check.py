@@ -39,7 +39,7 @@ def check_truth(capture: Capture, files: Iterable[Path]) -> None:
             _check_maps(path, capture)
         elif path.suffix == ".json":
             _check_document(path)
-        elif parts == ("gt", "mesh.ply"):
+        elif path == truth.mesh:
             read_mesh(path)
         elif parts == ("gt", "env.hdr") or (parts[1] in CHANNELS and path.suffix == ".exr"):
             size = sizes.get(truth.view_of(path.stem) or "")

@@ -12,9 +12,11 @@ from typing import Any
 import pytest
 
 from pipeline.engine.stage import parameters_from
+from pipeline.shading import prefilter, splitsum
 from stages.relight.mesh_shadows import TRANSFER_TEXELS
 from stages.relight.parameters import RelightParameters
 from stages.train.parameters import TrainParameters
+from stages.train.splats.splat_occlusion import DIFFUSE_RAYS
 from stages.train.stage import STAGE
 
 ROOT = Path(__file__).parents[2]
@@ -58,6 +60,20 @@ def test_stored_rows_of_the_ablation_say_which_defaults_have_changed_since(captu
     now = asdict(parameters_from(STAGE, given, "ablation.json"))
     since = changed(kept["parameters"], now)
     assert ABLATION.get("defaults_since", {}).get(row, {}) == since, "run `make bench-ablation`, or say what has changed"
+
+
+def test_stored_approximations_were_measured_with_today_s_defaults_and_mark_them():
+    cases = stored("approximations").get("cases", {})
+    train = TrainParameters()
+    nodes = [splitsum.ROUGHNESS_NODES, splitsum.COSINE_NODES, splitsum.IOR_NODES]
+    now = {
+        "fresnel": train.fresnel, "split_sum_nodes": nodes, "environment_resolution": train.environment_resolution,
+        "diffuse_resolution": prefilter.DIFFUSE_RESOLUTION, "occlusion_rays": DIFFUSE_RAYS, "lobe": train.lobe,
+    }  # fmt: skip
+    stale = [name for name, case in cases.items() if case["defaults"] != now]
+    assert not stale, "run `make bench-approximations`"
+    groups = {name.partition(",")[0] for name in cases}
+    assert groups == {name.partition(",")[0] for name, case in cases.items() if case["default"]}, "a default was not measured"
 
 
 def test_stored_errors_of_light_were_measured_with_what_relighting_does_today():

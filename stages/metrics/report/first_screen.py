@@ -33,7 +33,7 @@ def cost_lines(manifests: Mapping[str, Mapping[str, Any]]) -> list[str]:
     if peak is not None:
         lines.append(f"at most {float(manifests[peak].get('peak_rss_mb') or 0.0):,.0f} MB of memory ({peak})".replace(",", " "))
     disk = sum(o["bytes"] for m in manifests.values() for o in m.get("outputs", [])) / 2**20
-    return [*lines, f"{disk:,.0f} MB on disk".replace(",", " ")]
+    return [*lines, f"{disk:,.{0 if disk >= 10 else 1}f} MB on disk".replace(",", " ")]
 
 
 def left_out_rows(left_out: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
