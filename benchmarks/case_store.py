@@ -8,6 +8,7 @@ import platform
 import subprocess
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import asdict, is_dataclass
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +40,12 @@ class CaseStore:
         aside = self.path.with_suffix(".part")
         aside.write_text(json.dumps({"cases": self.cases}, indent=1) + "\n", encoding="utf-8")
         aside.replace(self.path)
+
+
+def made_with(defaults: Any) -> dict[str, Any]:
+    """What a stored result keeps of how it was made: the defaults (a parameters' dataclass, or a table), and the stamp."""
+    table = asdict(defaults) if is_dataclass(defaults) and not isinstance(defaults, type) else defaults
+    return {"defaults": json.loads(json.dumps(table)), **stamp()}
 
 
 def stamp() -> dict[str, str]:

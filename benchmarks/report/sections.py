@@ -59,7 +59,7 @@ def poses(stored: dict[str, Any]) -> Section:
     rows = [["features found at", "registered", "reprojection error, px", "focal length off, %", "s"]]
     points = []
     for name, row in stored.items():
-        if isinstance(row, dict):
+        if isinstance(row, dict) and name != "made":
             off = max(map(abs, row.get("focal_error_pct", [float("nan")])))
             rows.append(
                 [

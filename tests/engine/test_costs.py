@@ -41,6 +41,14 @@ def test_a_run_as_large_tells_the_rate_and_one_a_hundred_times_smaller_hardly():
     assert found.of("train", "cpu", 1.0, 2, 0.0).cpu < near.cpu  # another version of the stage left it
 
 
+def test_what_else_the_machine_did_meanwhile_does_not_last():
+    found = Rates()
+    found.add("train", "cpu", record("busy", 100.0, 100.0, 900.0))
+    assert found.of("train", "cpu", 100.0, 1, 0.0).wall <= rates.ALONE and found.of("train", "cpu", 1e4, 1, 0.0).wall < 1.1
+    found.add("train", "cpu", record("alone", 90.0, 100.0, 60.0))
+    assert found.of("train", "cpu", 100.0, 1, 0.0).wall == pytest.approx(0.6)
+
+
 def test_small_runs_push_no_large_one_out_and_a_version_counts_once():
     found = Rates()
     found.add("train", "cpu", record("large", 300.0, 600.0))

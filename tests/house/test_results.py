@@ -13,9 +13,14 @@ import pytest
 
 from pipeline.engine.stage import parameters_from
 from pipeline.shading import prefilter, splitsum
+from stages.calib.decode.parameters import DecodeParameters
+from stages.calib.poses.parameters import PosesParameters
+from stages.masks.parameters import MasksParameters
+from stages.olat.parameters import OlatParameters
 from stages.relight.mesh_shadows import TRANSFER_TEXELS
 from stages.relight.parameters import RelightParameters
 from stages.train.parameters import TrainParameters
+from stages.train.render_view import LAYER, SCREEN_FILTER
 from stages.train.splats.splat_occlusion import DIFFUSE_RAYS
 from stages.train.stage import STAGE
 
@@ -74,6 +79,21 @@ def test_stored_approximations_were_measured_with_today_s_defaults_and_mark_them
     assert not stale, "run `make bench-approximations`"
     groups = {name.partition(",")[0] for name in cases}
     assert groups == {name.partition(",")[0] for name, case in cases.items() if case["default"]}, "a default was not measured"
+
+
+@pytest.mark.parametrize(
+    ("name", "now"),
+    [
+        ("decode", DecodeParameters()), ("masks", MasksParameters()), ("poses", PosesParameters()), ("olat", OlatParameters()),
+        ("rasterize", {"screen_filter": SCREEN_FILTER, "layer": LAYER}),
+    ],
+)  # fmt: skip
+def test_what_a_stored_result_says_it_was_made_with_is_today_s(name, now):
+    """Results from before that was kept say so on their page."""
+    found = stored(name)
+    made = [row.get("made") for row in found] if isinstance(found, list) else [found.get("made")]
+    table = json.loads(json.dumps(now if isinstance(now, dict) else asdict(now)))
+    assert all(m["defaults"] == table for m in made if m), f"run `make bench-{name}`"
 
 
 def test_stored_errors_of_light_were_measured_with_what_relighting_does_today():

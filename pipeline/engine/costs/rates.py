@@ -24,6 +24,9 @@ KEPT = 3  # records of a stage and of a size (to the next power of two), the new
 DOUBT = 0.25
 """Weight of what is taken for granted beside a record of a run that was just as large, which weighs 1."""
 OLDER = 0.5  # weight of a record that another version of the stage left
+ALONE = 1.25
+"""Wall seconds of a processor second from which on the machine was busy with other work, which says nothing of the next run."""
+NEAR = 0.5  # likeness of size from which on the quickest run tells how many cores a stage has when it is alone
 SHORTEST_S = 0.02  # of processor time, below which a record is all rounding
 
 
@@ -72,11 +75,14 @@ class Rates:
         known = self.records.get(f"{stage}@{device}", [])
         cpu = [(DOUBT, math.log(slowness()))]
         wall = [(DOUBT, math.log(1 - parallel + parallel / cores()))]
+        near = []
         for r in known:
-            weight = math.exp(-abs(math.log(r.estimate_s / max(estimate_s, 1e-6)))) * (1.0 if r.version == version else OLDER)
+            alike = math.exp(-abs(math.log(r.estimate_s / max(estimate_s, 1e-6))))
+            weight = alike * (1.0 if r.version == version else OLDER)
             cpu.append((weight, math.log(r.cpu_s / r.estimate_s)))
-            wall.append((weight, math.log(r.wall_s / r.cpu_s)))
-        return Rate(_mean(cpu), _mean(wall), bool(known))
+            wall.append((weight, math.log(min(r.wall_s / r.cpu_s, ALONE))))
+            near += [r.wall_s / r.cpu_s] if alike > NEAR else []
+        return Rate(_mean(cpu), min([_mean(wall), *near]) if near else _mean(wall), bool(known))
 
 
 def _size(record: Record) -> int:
