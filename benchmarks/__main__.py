@@ -20,7 +20,7 @@ ROOT = Path(__file__).parents[1]
 STATE = ROOT / "build" / "bench" / "finished.json"
 RESULTS = ROOT / "benchmarks" / "results"
 ALWAYS = {
-    "approximations": [], "rasterize": ["--json", str(RESULTS / "rasterize.json")],
+    "approximations": [], "mesh": [], "rasterize": ["--json", str(RESULTS / "rasterize.json")],
     "shading": ["--json", str(ROOT / "build" / "bench" / "shading.json")],
 }  # fmt: skip
 """Benchmarks that make all that they measure, with their arguments."""

@@ -133,7 +133,7 @@ def metrics(capture: Capture, parameters: Any) -> Costs:
         return {ITSELF: Cost(2.2 + 3.0 * pixels, 95.0)}
     maps = len(capture.environments)
     solid = 1.5 if capture.truth.mesh.is_file() else 0.0
-    return {ITSELF: Cost(3.5 + 1.2 * pixels * (1 + maps / TEST_EVERY) + 0.05 * views + solid, 150.0)}
+    return {ITSELF: Cost(5.0 + 1.2 * pixels * (1 + maps / TEST_EVERY) + 0.05 * views + solid, 150.0)}
 
 
 def _compiling(stage: str) -> Costs:

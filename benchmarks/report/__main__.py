@@ -45,7 +45,7 @@ def files() -> dict[Path, str]:
     return {PAGE: "\n".join(lines), **{path: text for path, text in out.items() if text}}
 
 
-TOLD = ("approximations", "train", "light")
+TOLD = ("approximations", "mesh", "train", "light")
 """Results whose sections say themselves what they were made with."""
 
 

@@ -63,12 +63,10 @@ def _to_do(found: Mapping[str, State]) -> str:
     if not expected:
         return f"to do: {', '.join(left)}"
     guessed = [n for n, s in left.items() if s.expected is not None and not s.expected.known]
-    unsure = f" (no run on this machine has shown yet how long {_listed(guessed)} take{'s' * (len(guessed) == 1)} here)"
-    return f"to do: {', '.join(left)}; about {brief(sum(e.wall_s for e in expected))} in all{unsure if guessed else ''}"
-
-
-def _listed(names: Sequence[str]) -> str:
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+    unsure = f" ({', '.join(guessed)}: first estimates, none has run on this machine yet)" if guessed else ""
+    if len(guessed) == len(expected):
+        unsure = " (a first estimate: no run on this machine has shown its speed yet)"
+    return f"to do: {', '.join(left)}; about {brief(sum(e.wall_s for e in expected))} in all{unsure}"
 
 
 def _saved(found: Mapping[str, State]) -> str:

@@ -16,6 +16,7 @@ from pipeline.shading import prefilter, splitsum
 from stages.calib.decode.parameters import DecodeParameters
 from stages.calib.poses.parameters import PosesParameters
 from stages.masks.parameters import MasksParameters
+from stages.mesh.parameters import MeshParameters
 from stages.olat.parameters import OlatParameters
 from stages.relight.mesh_shadows import TRANSFER_TEXELS
 from stages.relight.parameters import RelightParameters
@@ -79,6 +80,15 @@ def test_stored_approximations_were_measured_with_today_s_defaults_and_mark_them
     assert not stale, "run `make bench-approximations`"
     groups = {name.partition(",")[0] for name in cases}
     assert groups == {name.partition(",")[0] for name, case in cases.items() if case["default"]}, "a default was not measured"
+
+
+def test_stored_meshes_were_made_with_today_s_defaults_and_mark_them():
+    cases, mesh = stored("mesh").get("cases", {}), MeshParameters()
+    now = {"voxel_px": mesh.voxel_px, "poisson_depth": mesh.poisson_depth}
+    assert not [name for name, case in cases.items() if case["defaults"] != now], "run `make bench-mesh`"
+    assert {f"voxel of {mesh.voxel_px} px", f"depth {mesh.poisson_depth}"} == {
+        name.rpartition(", ")[2] for name, case in cases.items() if case["default"]
+    }
 
 
 @pytest.mark.parametrize(

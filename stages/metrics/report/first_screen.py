@@ -90,5 +90,5 @@ def still_gaining(log: Sequence[Mapping[str, str]]) -> float | None:
 
 def _no_truth(metrics: Mapping[str, Any]) -> bool:
     """Whether a trained model has neither true normals nor a true mesh to be held against."""
-    train, mesh = metrics.get("train"), metrics.get("mesh", {})
+    train, mesh = metrics.get("train") or {}, metrics.get("mesh") or {}
     return bool(train) and train.get("normal_mae_deg") is None and mesh.get("chamfer_pct") is None
