@@ -61,10 +61,14 @@ def test_what_was_left_out_stands_dearest_first_with_what_it_saved():
 
 
 def test_cost_is_told_beside_what_was_foretold_only_where_all_of_it_was():
-    made = {"train": {"wall_s": 90.0, "expected_wall_s": 100.0, "peak_rss_mb": 700.0}, "mesh": {"wall_s": 10.0}}
-    assert cost_lines(made)[0] == "1 min 40 s in all" and cost_lines(made)[1].startswith("train 1 min 30 s (90 %)")
-    made["mesh"]["expected_wall_s"] = 20.0
-    assert cost_lines(made)[0] == "1 min 40 s in all, foretold 2 min 00 s"
+    made = {
+        "train": {"wall_s": 90.0, "cpu_s": 80.0, "expected_wall_s": 100.0, "expected_cpu_s": 110.0, "peak_rss_mb": 700.0},
+        "mesh": {"wall_s": 10.0, "cpu_s": 8.0},
+    }
+    assert cost_lines(made)[0] == "1 min 40 s in all, 1 min 28 s of the processor"
+    assert cost_lines(made)[1].startswith("train 1 min 30 s (90 %)")
+    made["mesh"] |= {"expected_wall_s": 20.0, "expected_cpu_s": 15.0}
+    assert cost_lines(made)[1] == "foretold: 2 min 00 s, 2 min 05 s of the processor"
 
 
 def test_training_counts_as_gaining_only_while_it_does():

@@ -23,10 +23,10 @@ def cost_lines(manifests: Mapping[str, Mapping[str, Any]]) -> list[str]:
     """Total time beside what was foretold, the dearest stages, memory."""
     wall = {name: float(m.get("wall_s") or 0.0) for name, m in manifests.items()}
     total = sum(wall.values())
-    foretold = [m.get("expected_wall_s") for m in manifests.values()]
-    known = [float(f) for f in foretold if isinstance(f, int | float)]
-    said = f", foretold {clock(sum(known))}" if known and len(known) == len(manifests) else ""
-    lines = [f"{clock(total)} in all{said}"]
+    lines = [f"{clock(total)} in all, {clock(_sum(manifests, 'cpu_s') or 0.0)} of the processor"]
+    foretold = _sum(manifests, "expected_wall_s"), _sum(manifests, "expected_cpu_s")
+    if foretold[0] is not None and foretold[1] is not None:
+        lines.append(f"foretold: {clock(foretold[0])}, {clock(foretold[1])} of the processor")
     dearest = sorted(wall, key=lambda name: -wall[name])[:3]
     lines.append(", ".join(f"{name} {clock(wall[name])} ({100 * wall[name] / max(total, 1e-9):.0f} %)" for name in dearest))
     peak = max(manifests, key=lambda name: float(manifests[name].get("peak_rss_mb") or 0.0), default=None)
@@ -34,6 +34,13 @@ def cost_lines(manifests: Mapping[str, Mapping[str, Any]]) -> list[str]:
         lines.append(f"at most {float(manifests[peak].get('peak_rss_mb') or 0.0):,.0f} MB of memory ({peak})".replace(",", " "))
     disk = sum(o["bytes"] for m in manifests.values() for o in m.get("outputs", [])) / 2**20
     return [*lines, f"{disk:,.{0 if disk >= 10 else 1}f} MB on disk".replace(",", " ")]
+
+
+def _sum(manifests: Mapping[str, Mapping[str, Any]], name: str) -> float | None:
+    """The sum of a figure over all stages; None where one of them does not have it."""
+    found = [m.get(name) for m in manifests.values()]
+    known = [float(v) for v in found if isinstance(v, int | float)]
+    return sum(known) if len(known) == len(found) else None
 
 
 def left_out_rows(left_out: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
