@@ -25,10 +25,13 @@ NAMED = 2  # changed files that are named; more are counted
 class State:
     """How one step of a plan stands in a dataset.
 
-    `kind`: left out, never made, in use, to be made again, made earlier and to be put to use, begun and to be resumed.
-    `why`: what differs from the version in use. `root`: the difference is this stage's own, not of one upstream.
-    `wall_s`: seconds that it took, or that another version of it took last; None where none is known.
-    `expected`: what it will take; `saved`: what the plan saves by leaving the stage out (by the name "") or a pass of it.
+    Fields:
+        kind: left out, never made, in use, to be made again, made earlier and to be put to use, begun and to be resumed.
+        why: what differs from the version in use.
+        root: the difference is this stage's own, not of one upstream.
+        wall_s: seconds that it took, or that another version of it took last; None where none is known.
+        expected: what it will take; None where nothing is to be done, or is known.
+        saved: what the plan saves by leaving the stage out (by the name "") or a pass of it.
     """
 
     kind: Kind
@@ -155,7 +158,14 @@ def _in_use(dataset: Dataset, stage: str) -> str | None:
 
 
 def standing(state: State) -> str:
-    """How a step stands, in words: what differs, what it will take, and took; empty where nothing is known."""
+    """Say how a step stands: what differs, what it will take, and what it took last.
+
+    Args:
+        state: the step's.
+
+    Returns:
+        The words; "" where nothing is known.
+    """
     took = "" if state.wall_s is None else f"took {brief(state.wall_s)}"
     if state.kind == "done":
         return f"done, {took}" if took else "done"
