@@ -207,7 +207,7 @@ class Capture:
     @property
     def truth(self) -> Truth:
         """What the folder holds of ground truth."""
-        return Truth(self.root, tuple(sorted(view.view for view in self.views)))
+        return Truth(self.root, tuple(sorted(view.view for view in self.views)), self.layout)
 
     def view(self, name: str) -> ViewSource:
         """The view called `name`; KeyError if there is none."""
