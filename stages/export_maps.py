@@ -52,7 +52,7 @@ def _write_camera(source: Path, camera: Camera, folder: Path) -> None:
     turn = camera.world_to_camera[:3, :3] * np.array([[1.0], [-1.0], [-1.0]])
     layers: dict[str, Image] = {}
 
-    def add(name: str, values: Image, shown: Callable[[Image], Image] = lambda x: x) -> None:
+    def add(name: str, values: Image, shown: Callable[[Image], NDArray] = lambda x: x) -> None:
         channels = RGB[: values.shape[-1]] if values.shape[-1] > 1 else ("Y",)
         layers.update({f"{name}.{c}": values[..., k] for k, c in enumerate(channels)})
         picture = np.concatenate([_rgb(shown(values)) * there[..., None], there[..., None]], -1).astype(np.float32)
@@ -71,7 +71,7 @@ def _write_camera(source: Path, camera: Camera, folder: Path) -> None:
     write_exr(folder / "maps.exr", {**{c: layers[f"normal.{c}"] for c in RGB}, "A": there.astype(np.float32), **layers})
 
 
-def _rgb(values: Image) -> Image:
+def _rgb(values: NDArray) -> NDArray:
     """Three channels: one is repeated, two get a third of 0."""
     if values.shape[-1] == 1:
         return np.repeat(values, 3, -1)

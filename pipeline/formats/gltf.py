@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.errors import UserError
 from pipeline.formats.images import write_png
 
 MAGIC, VERSION, JSON_CHUNK, BINARY_CHUNK = 0x46546C67, 2, 0x4E4F534A, 0x004E4942
@@ -73,6 +74,31 @@ class GltfParts:
         size = 12 + 8 + len(text) + 8 + len(self.data)
         head = struct.pack("<III", MAGIC, VERSION, size) + struct.pack("<II", len(text), JSON_CHUNK)
         path.write_bytes(head + text + struct.pack("<II", len(self.data), BINARY_CHUNK) + bytes(self.data))
+
+
+class GltfFile:
+    """A binary glTF read back: `document`, and the arrays of its accessors."""
+
+    def __init__(self, path: Path) -> None:
+        """Raises UserError where it is none."""
+        data = path.read_bytes()
+        try:
+            size, kind = struct.unpack_from("<II", data, 12)
+            if struct.unpack_from("<I", data)[0] != MAGIC or kind != JSON_CHUNK:
+                raise ValueError("no glTF")
+            self.document: dict[str, Any] = json.loads(data[20 : 20 + size])
+            self._binary = data[28 + size :]
+        except (struct.error, ValueError) as error:
+            raise UserError(path, f"is no binary glTF ({error})", "run the stage that made it again") from error
+
+    def array(self, index: int) -> NDArray:
+        """The values [N, C] of an accessor (floats, or unsigned 16 or 32 bits), [N] of one of numbers."""
+        accessor = self.document["accessors"][index]
+        kind = np.dtype({FLOAT: "<f4", UNSIGNED_INT: "<u4", UNSIGNED_SHORT: "<u2"}[accessor["componentType"]])
+        width = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}[accessor["type"]]
+        start = self.document["bufferViews"][accessor["bufferView"]].get("byteOffset", 0)
+        values = np.frombuffer(self._binary, kind, accessor["count"] * width, start)
+        return values if width == 1 else values.reshape(-1, width)
 
 
 def png_bytes(encoded: NDArray) -> bytes:

@@ -39,7 +39,7 @@ def write_spz(path: Path, cloud: SplatCloud) -> None:
     fraction = _fraction_bits(turned)
     head = struct.pack("<IIIBBBB", MAGIC, VERSION, len(turned), SH_DEGREE, fraction, 0, 0)
     opacity = 1 / (1 + np.exp(-turned.opacity))
-    columns = [
+    columns: list[NDArray] = [
         _fixed_point(turned.means, fraction),
         _byte(255 * opacity),
         _byte(255 * (COLOUR_SCALE * turned.coefficients[:, 0] + 0.5)),

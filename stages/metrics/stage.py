@@ -40,7 +40,7 @@ def run(run: StageRun) -> None:
 
 STAGE = Stage(
     name="metrics",
-    version=4,
+    version=5,
     parameters=MetricsParameters,
     needs=("decode", "poses", "masks", "olat", "train", "mesh", "relight"),
     needed=needed,
