@@ -25,7 +25,14 @@ def export_maps(decode: Path, olat: Path, folder: Path) -> None:
     """Write each camera's maps to folder/CAMERA/NAME.png (16 bits, alpha: where there are maps), NAME_8.png, and maps.exr.
 
     Normals and tangents are in the camera's frame (x right, y up, z towards it), (n + 1) / 2. maps.exr holds all of them as
-    layers NAME.R .., numbers as they are. Raises UserError where no camera has any.
+    layers NAME.R .., numbers as they are.
+
+    Args:
+        decode, olat: folders of these stages.
+        folder: to write to.
+
+    Raises:
+        UserError: no camera has any maps.
     """
     table = read_json(decode / "olat.json", "run the decode stage again")["cameras"]
     names = [path.name for path in files.subfolders(olat) if path.name in table]

@@ -23,7 +23,13 @@ Y_DOWN = np.diag([1.0, -1.0, -1.0])
 def export_splats(train: Path, unit_m: float | None, folder: Path) -> None:
     """Write splat.ply (material, the capture's world) and splats_lit.ply, .spz, .glb (upright, metres where known).
 
-    train: that stage's folder; unit_m: metres per world unit. Raises UserError where the lit ones were not made.
+    Args:
+        train: that stage's folder.
+        unit_m: metres per world unit; None: not known.
+        folder: to write to.
+
+    Raises:
+        UserError: the lit ones were not made.
     """
     lit = train / files.LIT_SPLATS
     if not lit.exists():

@@ -77,10 +77,21 @@ class GltfParts:
 
 
 class GltfFile:
-    """A binary glTF read back: `document`, and the arrays of its accessors."""
+    """A binary glTF read back.
+
+    Fields:
+        document: its JSON.
+    """
 
     def __init__(self, path: Path) -> None:
-        """Raises UserError where it is none."""
+        """Read it whole.
+
+        Args:
+            path: a .glb.
+
+        Raises:
+            UserError: it is none.
+        """
         data = path.read_bytes()
         try:
             size, kind = struct.unpack_from("<II", data, 12)

@@ -16,9 +16,13 @@ Array = NDArray[np.float64]
 class SplatCloud:
     """N Gaussians as 3D Gaussian splatting has them (Kerbl et al. 2023).
 
-    means [N, 3]; quaternions [N, 4], wxyz, unit; log_scales [N, 3], natural logarithms of sigma along the axes that the
-    quaternion turns; opacity [N], the logit of the peak opacity; coefficients [N, 16, 3] of spherical harmonics
-    (`harmonics.basis`) in the direction from the camera to the Gaussian: colour = 0.5 + sum, negative ones 0, sRGB-encoded.
+    Fields:
+        means: centres, world units. [N, 3]
+        quaternions: wxyz, unit. [N, 4]
+        log_scales: natural logarithms of sigma along the axes that the quaternion turns. [N, 3]
+        opacity: logit of the peak opacity. [N]
+        coefficients: of spherical harmonics (`harmonics.basis`) in the direction from the camera to the Gaussian:
+            colour = 0.5 + sum, negative ones 0, sRGB-encoded. [N, 16, 3]
     """
 
     means: Array
@@ -48,7 +52,18 @@ class SplatCloud:
 
 
 def turned_quaternions(quaternions: NDArray, rotation: NDArray) -> Array:
-    """Unit quaternions wxyz [N, 4], w >= 0, after a world rotation. Raises ValueError for a reflection."""
+    """Orientations after a world rotation.
+
+    Args:
+        quaternions: wxyz, of any length. [N, 4]
+        rotation: proper. [3, 3]
+
+    Returns:
+        wxyz, unit, w >= 0. [N, 4]
+
+    Raises:
+        ValueError: the rotation is a reflection.
+    """
     from scipy.spatial.transform import Rotation
 
     if np.linalg.det(rotation) < 0:

@@ -20,10 +20,13 @@ KIND = {1: "SCALAR", 3: "VEC3"}
 
 
 def write_splat_glb(path: Path, cloud: SplatCloud, material: Mapping[str, NDArray]) -> None:
-    """Write a cloud whose axes are glTF's (y up).
+    """Write a cloud and its material. Programs without the extension show points in their mean colour.
 
-    material: values by name, [N] or [N, 3], as attributes `_NAME` (glTF's way for an application's own): programs that know
-    them can relight, all others take no notice. Without the extension, the points show their mean colour.
+    Args:
+        path: the .glb.
+        cloud: in glTF's axes (y up), metres where they are known.
+        material: values by name, [N] or [N, 3], as attributes `_NAME` (glTF's way for an application's own): programs that
+            know them can relight, all others take no notice.
     """
     parts = GltfParts()
     degree0 = np.clip(CONSTANT * cloud.coefficients[:, 0] + 0.5, 0, 1)

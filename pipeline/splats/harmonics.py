@@ -17,9 +17,16 @@ PHASE = np.array([1, -1, 1, -1, 1, -1, 1, -1, 1, -1, 1, -1, 1, -1, 1, -1.0])
 
 
 def terms(x: Any, y: Any, z: Any) -> list[Any]:
-    """The 16 functions of unit directions, each shaped as x, y and z, arrays of any library; without the phase.
+    """The 16 functions, orthonormal over the sphere, without the phase.
 
-    Orthonormal over the sphere (Sloan, "Efficient Spherical Harmonic Evaluation", 2013).
+    Args:
+        x, y, z: of unit directions; arrays of any library, of one shape.
+
+    Returns:
+        By degree, and by order within it; each shaped as x.
+
+    Source:
+        Sloan, "Efficient Spherical Harmonic Evaluation", 2013.
     """
     xx, yy, zz = x * x, y * y, z * z
     return [
@@ -41,14 +48,28 @@ def terms(x: Any, y: Any, z: Any) -> list[Any]:
 
 
 def basis(directions: NDArray) -> NDArray[np.float64]:
-    """The harmonics [..., 16] of unit directions [..., 3], with the phase."""
+    """The harmonics, with the phase.
+
+    Args:
+        directions: unit. [..., 3]
+
+    Returns:
+        Their values. [..., 16]
+    """
     return np.stack(terms(*np.moveaxis(np.asarray(directions, np.float64), -1, 0)), -1) * PHASE
 
 
 def turned(coefficients: NDArray, rotation: NDArray) -> NDArray[np.float64]:
-    """Coefficients [N, 16, C] of the functions turned by a rotation [3, 3]: f'(R d) = f(d).
+    """Coefficients of turned functions: f'(R d) = f(d).
 
     Every degree keeps to itself: its square matrix is solved for from as many directions as make it well determined.
+
+    Args:
+        coefficients: of f. [N, 16, C]
+        rotation: R, proper. [3, 3]
+
+    Returns:
+        Those of f'. [N, 16, C]
     """
     k = np.arange(4 * COEFFICIENTS) + 0.5
     z, angle = 1 - 2 * k / len(k), np.pi * (1 + np.sqrt(5)) * k

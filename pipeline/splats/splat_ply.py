@@ -19,7 +19,13 @@ CONSTANT, REST = tuple(f"f_dc_{k}" for k in range(3)), tuple(f"f_rest_{k}" for k
 
 
 def write_splat_ply(path: Path, cloud: SplatCloud, comments: Sequence[str] = ()) -> None:
-    """Write a cloud, degree 3; normals are the third axes (viewers take no notice). comments: lines for the header."""
+    """Write a cloud, degree 3; normals are the third axes (viewers take no notice).
+
+    Args:
+        path: the file.
+        cloud: as it is, in whatever axes.
+        comments: lines for the header.
+    """
     w, x, y, z = cloud.quaternions.T
     normal = np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], -1)
     rest = np.moveaxis(cloud.coefficients[:, 1:], 1, 2).reshape(len(cloud), -1)
@@ -31,7 +37,17 @@ def write_splat_ply(path: Path, cloud: SplatCloud, comments: Sequence[str] = ())
 
 
 def read_splat_ply(path: Path) -> SplatCloud:
-    """Read a cloud; without the higher degrees they are 0. Raises UserError for another kind of PLY."""
+    """Read a cloud.
+
+    Args:
+        path: a PLY of 3D Gaussian splatting, of degree 0 or 3.
+
+    Returns:
+        What it holds; coefficients that it has not are 0.
+
+    Raises:
+        UserError: it is another kind of PLY, or damaged.
+    """
     ply = Ply(path)
     columns = ply.elements["vertex"].columns if "vertex" in ply.elements else {}
     coefficients = np.zeros((len(ply.vertices()), COEFFICIENTS, 3))

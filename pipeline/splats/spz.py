@@ -31,7 +31,9 @@ GZIP_LEVEL = 9
 def write_spz(path: Path, cloud: SplatCloud) -> None:
     """Write a cloud as Niantic's converter writes its PLY: turned from the axes of a PLY to those of SPZ.
 
-    Sigmas below e^-10 or above e^5.9 world units take these values (`representable`).
+    Args:
+        path: the file.
+        cloud: in a PLY's axes. Sigmas below e^-10 or above e^5.9 world units take these values (`representable`).
     """
     turned = replace(
         cloud.turned(np.diag(RDF_TO_RUB)), quaternions=cloud.quaternions * [1, *RDF_TO_RUB]
@@ -52,7 +54,14 @@ def write_spz(path: Path, cloud: SplatCloud) -> None:
 
 
 def representable(cloud: SplatCloud) -> float:
-    """Share of the Gaussians whose two larger sigmas SPZ can hold: not those of captures in millimetres or kilometres."""
+    """How many Gaussians SPZ can hold in their size: not those of captures in millimetres or kilometres.
+
+    Args:
+        cloud: any.
+
+    Returns:
+        Share of those whose two larger sigmas it has steps for, 0..1.
+    """
     large = np.sort(cloud.log_scales, axis=1)[:, 1:]
     fits = (large >= LOWEST_SCALE) & (large <= LOWEST_SCALE + 255 / SCALE_STEPS)
     return float(fits.all(1).mean()) if len(cloud) else 1.0

@@ -13,7 +13,7 @@ from ..render_view import LAYER, LEAST_ALPHA, Rendered
 from ..views.view import View
 
 SEEN = 0.5  # opacity from which a pixel shows the object and not its outline
-LEAST_FACING = 0.15  # cosine below which a disc is narrower than its neighbours' blur
+LEAST_FACING = 0.05  # cosine below which a disc is narrower than its neighbours' blur; mirrored light rises up to there
 
 
 @dataclass(frozen=True)
