@@ -15,7 +15,7 @@ from pipeline.engine.plan import load_stages
 from stages import STAGES
 
 ROOT = Path(__file__).parents[2]
-PACKAGES = ("pipeline", "stages", "synth", "tests", "benchmarks")
+PACKAGES = ("pipeline", "polarfield", "stages", "synth", "tests", "benchmarks")
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), *ROOT.glob("stages/**/README.md")])
 SOURCES = [p for package in PACKAGES for p in sorted((ROOT / package).rglob("*.py"))]
 PLACES = {str(p.relative_to(ROOT)) for package in PACKAGES for p in (ROOT / package).rglob("*") if "__pycache__" not in p.parts}
