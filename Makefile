@@ -51,16 +51,16 @@ demo: $(READY)  ## a tiny synthetic capture through every stage
 	$(BIN)/polarfield all "$$DEMO/captures/stage" --dataset "$$DEMO/stage" --device "$$DEVICE"
 	@echo "reports: $$DEMO/views/metrics/current/report.html and $$DEMO/stage/metrics/current/report.html"
 
-# One thread for each fast test, as many at once as there are cores: their arrays are small, and threads that wait for each other
-# cost three times the time.
-FAST = OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 $(BIN)/python -m pytest -m "not slow" -n auto --dist worksteal
+# One thread for each test, as many at once as there are cores: their arrays are small, and threads that wait for each other cost
+# three times the time.
+TESTS = OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal
 
 test: $(READY) lint  ## everything, fast tests first
-	$(FAST)
-	$(BIN)/python -m pytest -m slow
+	$(TESTS) -m "not slow"
+	$(TESTS) -m slow
 
 test-fast: $(READY)  ## under a minute
-	$(FAST)
+	$(TESTS) -m "not slow"
 
 # Every stop is a run of its own: some two thousand of them, a minute a hundred on quiet cores.
 crash-test: $(READY)  ## stop small runs before each of their changes to the disk; needs a C compiler

@@ -25,9 +25,18 @@ WHITE = 0.995  # quantile of a capture's radiance that 8-bit pictures show as wh
 
 
 def export(dataset: Dataset, to: str, output: str) -> Path:
-    """Write one format of a dataset's results to a folder ("": DATASET-FORMAT beside it); returns the folder.
+    """Copy a dataset's results to a folder, in one format; the folder appears whole or not at all.
 
-    The folder appears whole or not at all. Raises UserError where the stage that makes it has not run, or it exists.
+    Args:
+        dataset: with the stages that make it finished.
+        to: the format, of `FORMATS`.
+        output: the folder; "": DATASET-FORMAT beside the dataset.
+
+    Returns:
+        The folder.
+
+    Raises:
+        UserError: the stage that makes it has not run, or the folder exists.
     """
     folder = Path(output) if output else dataset.root.absolute().with_name(f"{dataset.root.absolute().name}-{to}")
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):

@@ -24,9 +24,11 @@ NAMED = 2  # changed files that are named; more are counted
 class State:
     """How one step of a plan stands in a dataset.
 
-    `kind`: left out, never made, in use, to be made again, made earlier and to be put to use, begun and to be resumed.
-    `why`: what differs from the version in use. `root`: the difference is this stage's own, not of one upstream.
-    `wall_s`: seconds that it took, or that another version of it took last; None where none is known.
+    Fields:
+        kind: left out, never made, in use, to be made again, made earlier and to be put to use, begun and to be resumed.
+        why: what differs from the version in use.
+        root: the difference is this stage's own, not of one upstream.
+        wall_s: seconds that it took, or that another version of it took last; None where none is known.
     """
 
     kind: Kind
@@ -166,7 +168,14 @@ def plan_text(steps: Sequence[Step], found: Mapping[str, State]) -> str:
 
 
 def standing(state: State) -> str:
-    """How a step stands, in words: what differs, and what it took; empty where nothing is known."""
+    """Say how a step stands: what differs, and what it took.
+
+    Args:
+        state: the step's.
+
+    Returns:
+        The words; "" where nothing is known.
+    """
     took = "" if state.wall_s is None else f"took {brief(state.wall_s)}"
     if state.kind == "done":
         return f"done, {took}" if took else "done"
@@ -176,7 +185,14 @@ def standing(state: State) -> str:
 
 
 def outlook(found: Mapping[str, State]) -> str:
-    """One line: what is left to do, and what it took last time where that is known of every part."""
+    """Say in one line what is left to do, and what it took last time where that is known of every part.
+
+    Args:
+        found: how each step stands, by stage.
+
+    Returns:
+        The line.
+    """
     left = {n: s for n, s in found.items() if not s.ready}
     if not left:
         turned = [n for n, s in found.items() if s.kind == "switch"]

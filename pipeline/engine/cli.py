@@ -27,7 +27,15 @@ JOB_WORDS = 4  # `job PLAN ROW STAGE`: what a cluster runs of a batch's plan
 
 
 def main(program: Program, arguments: Sequence[str]) -> int:
-    """Run one command; returns the exit status: 0 done, 1 damage found, 2 a fault of input, 128 + signal ended by it."""
+    """Run one command; a fault of input is printed as one line.
+
+    Args:
+        program: the stages and what else the command line offers.
+        arguments: without the program's name.
+
+    Returns:
+        The exit status: 0 done, 1 damage found, 2 a fault of input, 128 + signal where one ended it.
+    """
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # a file's name may be no text

@@ -19,7 +19,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Decision:
-    """Whether a stage (or a pass inside one) runs on a scene, and the reason in words."""
+    """Whether a stage (or a pass inside one) runs on a scene.
+
+    Fields:
+        run: whether.
+        reason: in words.
+        passes: of the stage, by name.
+    """
 
     run: bool
     reason: str
@@ -56,13 +62,20 @@ def no_check(capture: Capture) -> None:
 class Stage:
     """One stage of the pipeline.
 
-    `version` grows whenever the meaning of its output changes. `needs` are upstream stages, read where the plan runs
-    them. `capture_files` are the capture's files that it reads itself, and `config` the `capture.toml` sections that
-    it heeds: both enter its key. `check` raises UserError where it could not use its files; it is asked before any
-    stage runs. `given_files` are files that its parameters name: they enter its key, and it may refuse them before anything
-    runs. `environments` says that it reads the maps to relight under, `device` that it runs on
-    the device that a call names (every other stage runs on the processor and loads nothing to find out). `memory` tells how
-    many MiB it will have at its peak, with so many jobs side by side.
+    Fields:
+        name: of its command and folder.
+        version: grows whenever the meaning of its output changes.
+        parameters: their dataclass.
+        needs: upstream stages, read where the plan runs them.
+        needed: decides whether a capture needs the stage.
+        run: fills one folder.
+        capture_files: the capture's files that it reads itself; they enter its key.
+        check: raises UserError where it could not use its files; asked before any stage runs.
+        given_files: files that its parameters name; they enter its key, and it may refuse them before anything runs.
+        config: `capture.toml` sections that it heeds; they enter its key.
+        environments: it reads the maps to relight under.
+        device: it runs on the device that a call names (every other stage runs on the processor and loads nothing to find out).
+        memory: MiB that it will have at its peak, with so many jobs side by side.
     """
 
     name: str
@@ -84,8 +97,18 @@ class Stage:
 class StageRun:
     """What a stage's `run` is given.
 
-    `inputs` are the published folders of the upstream stages that ran, `output` the folder to fill (it appears under
-    its key when `run` returns), `scratch` a folder that outlives a kill, for checkpoints of this very key.
+    Fields:
+        capture: as recognised.
+        parameters: an instance of the stage's parameters.
+        inputs: the published folders of the upstream stages that ran, by stage.
+        output: the folder to fill; it appears under its key when `run` returns.
+        scratch: a folder that outlives a kill, for checkpoints of this very key.
+        device: "cpu" or "cuda".
+        environments: maps to relight under.
+        progress: where to report.
+        jobs: pieces that may be worked on side by side.
+        warnings: said so far (`warn`).
+        facts: kept so far (`note`).
     """
 
     capture: Capture

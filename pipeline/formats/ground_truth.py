@@ -21,7 +21,12 @@ TRUE_MAPS = ("mask", "normal", "albedo", "dp_du")
 
 @dataclass(frozen=True)
 class Truth:
-    """Ground truth of a capture: its root, and its views in sorted order."""
+    """Ground truth of a capture, looked up by view.
+
+    Fields:
+        root: the capture's folder.
+        views: its VIEWs, sorted; a file of truth may be named by a view's place among them (007).
+    """
 
     root: Path
     views: tuple[str, ...]
@@ -83,7 +88,17 @@ class Truth:
 
 
 def camera_maps(camera: Path) -> dict[str, NDArray] | None:
-    """The true maps (normal, albedo, mask, ...) in a light-stage camera's folder, None without any. Raises UserError."""
+    """Read the true maps of a light-stage camera.
+
+    Args:
+        camera: the camera's folder in the capture.
+
+    Returns:
+        Those of `TRUE_MAPS` that the file holds, by name [H, W] or [H, W, 3]; None where there is no file.
+
+    Raises:
+        UserError: the file is damaged.
+    """
     path = camera / FOLDER / MAPS
     if not path.is_file():
         return None

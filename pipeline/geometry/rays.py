@@ -48,9 +48,15 @@ class Closest:
 
 
 class RayMesh:
-    """A triangle mesh to cast rays at: vertices [V, 3], triangles [F, 3]. Positions and directions are taken as float32."""
+    """A triangle mesh to cast rays at. Positions and directions are taken as float32."""
 
     def __init__(self, vertices: NDArray, triangles: NDArray) -> None:
+        """Build the ray structure.
+
+        Args:
+            vertices: positions, world units. [V, 3]
+            triangles: vertex numbers, counter-clockwise from outside. [F, 3]
+        """
         import open3d
 
         o3d: Any = open3d

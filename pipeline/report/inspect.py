@@ -33,9 +33,20 @@ LONGEST = 288  # px
 def write_inspection(
     capture: Capture, steps: Sequence[Step], folder: Path, found: Mapping[str, State], disk: Sequence[tuple[str, float]]
 ) -> Path:
-    """Write inspect.html to `folder` (made when missing) and return its path.
+    """Write the page that shows what was understood of a capture.
 
-    `found` tells how each step stands, `disk` how much each will leave (name, MB). Raises UserError when it cannot write.
+    Args:
+        capture: as recognised.
+        steps: its plan.
+        folder: where to write inspect.html; made when missing.
+        found: how each step stands, by stage.
+        disk: how much each stage will leave: name, MB.
+
+    Returns:
+        The page.
+
+    Raises:
+        UserError: it cannot be written.
     """
     shown, faults = _views(capture)
     plan = plan_as_json(list(steps))

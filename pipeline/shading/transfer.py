@@ -45,8 +45,10 @@ class Gathering:
 class SurfaceLight:
     """Light at the mesh's vertices under one environment.
 
-    shadow, bounced [V, 3]: as in `shading.Occlusion`; leaving [V, 3]: diffuse radiance that the surface sends back;
-    texels [K, 3]: the environment that was gathered.
+    Fields:
+        shadow, bounced: as in `shading.Occlusion`. [V, 3]
+        leaving: diffuse radiance that the surface sends back. [V, 3]
+        texels: the environment that was gathered. [K, 3]
     """
 
     shadow: torch.Tensor
@@ -67,12 +69,17 @@ class Attachment:
 
 
 class Transfer:
-    """Visibility of a cube of `resolution` from every vertex of an occluder, and the vertices that block it.
-
-    albedo [V, 3] of the mesh, linear; ior: one value, for how much light passes in and out of the surface.
-    """
+    """Which part of a cube of light each vertex of an occluder sees, and the vertices that block the rest."""
 
     def __init__(self, occluder: Occluder, albedo: NDArray, *, ior: float = REFERENCE_IOR, resolution: int = 8) -> None:
+        """Cast the rays of all vertices.
+
+        Args:
+            occluder: the object's mesh of V vertices.
+            albedo: of its vertices, linear RGB. [V, 3]
+            ior: of all of it: how much light passes in and out of the surface.
+            resolution: texels on a side of the cube's faces.
+        """
         self.occluder, self.resolution = occluder, resolution
         self.albedo = torch.as_tensor(np.asarray(albedo), dtype=torch.float32)
         # Received light is weighted by the way in at the reference IoR: scaled to this one, times the mean way out.

@@ -64,13 +64,16 @@ class Tradeoff:
 
 
 def run_tradeoff(capture: Path, dataset: Path, params: str, envs: str, say: Callable[[str], None]) -> Path:
-    """Try the parameters that matter to this capture and write tradeoff.html beside the dataset; returns its path.
+    """Try the parameters that matter to a capture and write tradeoff.html beside the dataset.
 
     Args:
         capture: its folder.
         dataset: the user's dataset, finished or not; what it holds is used and left as it is.
         params, envs: as given on the command line.
         say: shows a line of progress.
+
+    Returns:
+        The page.
 
     Raises:
         UserError: a run fails.
