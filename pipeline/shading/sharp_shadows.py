@@ -30,16 +30,13 @@ FAINT = 1e-4  # of the environment's mean: mirrored by a dielectric, it is below
 
 @dataclass(frozen=True)
 class Points:
-    """P shaded points in the transfer's frame: places on the mesh, unit normals, directions to the camera [P, 3]; material [P].
+    """P shaded points in the transfer's frame, all float32."""
 
-    All float32.
-    """
-
-    position: NDArray
-    normal: NDArray
-    view: NDArray
-    roughness: NDArray
-    ior: NDArray
+    position: NDArray  # [P, 3] on the mesh
+    normal: NDArray  # [P, 3] unit
+    view: NDArray  # [P, 3] unit, towards the camera
+    roughness: NDArray  # [P]
+    ior: NDArray  # [P]
 
     @classmethod
     def of(cls, *values: NDArray) -> Points:
@@ -54,7 +51,10 @@ class Points:
 class SharpShadows:
     """The bright parts of one environment behind one mesh.
 
-    light: `transfer.light` of the environment; field: its prefiltered light.
+    Args:
+        transfer: the mesh, and what its vertices see.
+        light: of the environment (`Transfer.light`).
+        field: the environment, prefiltered.
     """
 
     def __init__(self, transfer: Transfer, light: SurfaceLight, field: LightField) -> None:
