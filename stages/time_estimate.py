@@ -41,7 +41,7 @@ def decode(capture: Capture, parameters: Any) -> Costs:
 
 
 def poses(capture: Capture, parameters: Any) -> Costs:
-    """Estimate poses: given cameras are a table; found ones are features of pictures and matches of pairs (past 150: neighbours).
+    """Estimate poses: given cameras are a table; found ones are features and matches of pairs (past 150 views, neighbours).
 
     Args:
         capture: as recognised.
