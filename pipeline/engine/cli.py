@@ -8,10 +8,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from pipeline.engine.arguments import parse
+from pipeline.engine.arguments import command_parser, parse
 from pipeline.engine.call import Call, describe, open_call, place_of
 from pipeline.engine.changes import State, expected_warnings, keep_hint, stale_after, states
 from pipeline.engine.child import run_stage
+from pipeline.engine.completion import script
 from pipeline.engine.costs.estimate import Estimator
 from pipeline.engine.device import device_of, refuse_missing_cuda
 from pipeline.engine.early import look_early, say_warnings
@@ -62,6 +63,9 @@ def _run(program: Program, arguments: Sequence[str]) -> int:
         return run_job(arguments[1:], lambda line: main(program, line))
     stages = load_stages(program.modules)
     options = parse(stages, arguments, program.formats)
+    if options.command == "completion":
+        print(script(options.shell, command_parser(stages, program.formats)), end="")
+        return 0
     if options.command == "compare" and program.compare is not None:
         print(f"comparison: {program.compare([Path(p) for p in options.datasets], Path(options.out))}")
         return 0

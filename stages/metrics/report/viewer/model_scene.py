@@ -36,7 +36,8 @@ def model_scene(run: StageRun) -> dict[str, Any] | None:
     maps = {environment_name(p): p for p in run.capture.environments}
     cameras, gain = camera_entries(run, turn)
     lights = light_entries(train / files.ENVIRONMENT, {n: p for n, p in sorted(maps.items()) if n in relit})
-    return scene_of(surface_entry(run.inputs["mesh"] / files.MESH, turn), lights, lobe, turn, cameras, gain)
+    mesh = run.inputs["mesh"]
+    return scene_of(surface_entry(mesh / files.MESH, turn, mesh / files.ASSET), lights, lobe, turn, cameras, gain)
 
 
 def scene_of(
