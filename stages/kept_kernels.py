@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import os
-from functools import cache
-
-from pipeline.kernels import freshness, storage
+from pipeline.kernels.kept import is_kept
 
 FIRST_S: dict[str, tuple[str, float]] = {
     "decode": ("stages/calib/decode/frame_scan_kernel.py", 1.8),
@@ -18,15 +15,13 @@ FIRST_S: dict[str, tuple[str, float]] = {
 
 
 def compiling_s(stage: str) -> float:
-    """Seconds of the reference machine that a stage will spend compiling first; 0 where code of its present sources is kept."""
+    """Estimate what a stage will spend compiling its kernels first.
+
+    Args:
+        stage: its name.
+
+    Returns:
+        Seconds of one core of the reference machine; 0 where code of its present sources is kept.
+    """
     file, seconds = FIRST_S.get(stage, ("", 0.0))
-    return 0.0 if not file or _kept(file) else seconds
-
-
-@cache
-def _kept(file: str) -> bool:
-    folder, path = storage.place(), storage.ROOT / file
-    if folder is None or not path.is_file():
-        return False
-    label = storage.label(freshness.dotted(path), freshness.digest(path))
-    return any(f"-{label}." in name for name in os.listdir(folder))
+    return 0.0 if not file or is_kept(file) else seconds

@@ -17,7 +17,14 @@ LOOKED_AT = 4
 
 
 def object_share(capture: Capture) -> float:
-    """Share of the pixels (0 to 1) that are the object's: of a few of the given masks, the usual one where there are none."""
+    """Estimate which share of the pixels is the object's, from a few of the given masks.
+
+    Args:
+        capture: as recognised.
+
+    Returns:
+        The share, above 0 and at most 1; USUAL where no mask is given.
+    """
     if capture.light_stage is not None:
         given = [c.mask for c in capture.light_stage.cameras.values() if c.mask is not None]
     else:

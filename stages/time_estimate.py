@@ -23,7 +23,15 @@ LATE = 200  # steps of training before which nothing is traced
 
 
 def decode(capture: Capture, parameters: Any) -> Costs:
-    """Every picture is read, solved and written once; a light stage's frames are only looked through."""
+    """Estimate decode: every picture is read, solved and written once; a light stage's frames are only looked through.
+
+    Args:
+        capture: as recognised.
+        parameters: of the stage.
+
+    Returns:
+        What the stage itself and each of its passes take, by name.
+    """
     if capture.light_stage is not None:
         frames = sum(len(c.frames) for c in capture.light_stage.cameras.values())
         return {ITSELF: Cost(0.08 + 7e-4 * frames, 80.0), **_compiling("decode")}
@@ -33,7 +41,15 @@ def decode(capture: Capture, parameters: Any) -> Costs:
 
 
 def poses(capture: Capture, parameters: Any) -> Costs:
-    """Given cameras are a table. Found ones: features of every picture, matches of every pair (past 150 views: neighbours)."""
+    """Estimate poses: given cameras are a table; found ones are features and matches of pairs (past 150 views, neighbours).
+
+    Args:
+        capture: as recognised.
+        parameters: of the stage.
+
+    Returns:
+        What the stage itself and each of its passes take, by name.
+    """
     views = max(1, len(capture.pixels))
     pixels = min(_megapixels(capture), views * parameters.max_size**2 / MEGA)
     pairs = views * (views - 1) / 2 if views <= 150 else 20 * views
@@ -45,7 +61,15 @@ def poses(capture: Capture, parameters: Any) -> Costs:
 
 
 def masks(capture: Capture, parameters: Any) -> Costs:
-    """Given masks are read and compared with the visual hull; others are segmented by what all views agree on."""
+    """Estimate masks: given masks are read and compared with the visual hull; others are segmented by what all views agree on.
+
+    Args:
+        capture: as recognised.
+        parameters: of the stage.
+
+    Returns:
+        What the stage itself and each of its passes take, by name.
+    """
     pixels = _megapixels(capture)
     at_work = min(pixels, len(capture.pixels) * parameters.max_size**2 / MEGA)
     itself = 0.4 if capture.light_stage is not None else 1.2 + 0.35 * pixels
@@ -53,7 +77,16 @@ def masks(capture: Capture, parameters: Any) -> Costs:
 
 
 def olat(capture: Capture, parameters: Any, compiled: bool) -> Costs:
-    """Fits of the object's pixels to the samples of every light, and the reading of those of every pixel's scanline."""
+    """Estimate olat: fits of the object's pixels to the samples of every light, and the reading of all samples.
+
+    Args:
+        capture: as recognised.
+        parameters: of the stage.
+        compiled: whether the fits' machine code is kept.
+
+    Returns:
+        What the stage itself and each of its passes take, by name.
+    """
     stage = capture.light_stage
     lights = len(stage.lights) if stage is not None else LIGHTS
     pixels, share = _megapixels(capture), object_share(capture)
@@ -69,7 +102,15 @@ def olat(capture: Capture, parameters: Any, compiled: bool) -> Costs:
 
 
 def train(capture: Capture, parameters: Any) -> Costs:
-    """Steps by object pixels and splats, the start from the hull, a G-buffer of every view at the end."""
+    """Estimate train: steps by object pixels and splats, the start from the hull, a G-buffer of every view at the end.
+
+    Args:
+        capture: as recognised.
+        parameters: of the stage.
+
+    Returns:
+        What the stage itself and each of its passes take, by name.
+    """
     views = max(1, len(capture.pixels))
     pixels, share = _megapixels(capture), object_share(capture)
     seen = pixels / views * share  # megapixels of the object in a view
@@ -97,7 +138,15 @@ MIRRORS = {"split": 0.5, "lobe-4": 0.7, "lobe-12": 1.0, "lobe-24": 1.5}
 
 
 def mesh(capture: Capture, parameters: Any) -> Costs:
-    """Depths of all views in voxels, the surface's triangles, its textures."""
+    """Estimate mesh: depths of all views in voxels, the surface's triangles, its textures.
+
+    Args:
+        capture: as recognised.
+        parameters: of the stage.
+
+    Returns:
+        What the stage itself and each of its passes take, by name.
+    """
     views = max(1, len(capture.pixels))
     pixels, share = _megapixels(capture), object_share(capture)
     around = 4 * pixels / views * share  # megapixels of the object's whole surface
@@ -110,7 +159,15 @@ def mesh(capture: Capture, parameters: Any) -> Costs:
 
 
 def relight(capture: Capture, parameters: Any) -> Costs:
-    """Every view under every map."""
+    """Estimate relight: every view under every map.
+
+    Args:
+        capture: as recognised.
+        parameters: of the stage.
+
+    Returns:
+        What the stage itself and each of its passes take, by name.
+    """
     maps = max(1, len(capture.environments) + bool(parameters.lights))
     pixels, views = _megapixels(capture), len(capture.pixels)
     share = object_share(capture)
@@ -127,7 +184,15 @@ def relight(capture: Capture, parameters: Any) -> Costs:
 
 
 def metrics(capture: Capture, parameters: Any) -> Costs:
-    """Figures of the test views, the truth's, and the report with its pictures and what one turns in it."""
+    """Estimate metrics: figures of the test views, the truth's, and the report with its pictures and what one turns in it.
+
+    Args:
+        capture: as recognised.
+        parameters: of the stage.
+
+    Returns:
+        What the stage itself and each of its passes take, by name.
+    """
     pixels, views = _megapixels(capture), len(capture.pixels)
     if capture.light_stage is not None:
         return {ITSELF: Cost(2.2 + 3.0 * pixels, 95.0)}

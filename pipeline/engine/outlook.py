@@ -39,18 +39,40 @@ def plan_text(steps: Sequence[Step], found: Mapping[str, State]) -> str:
 
 
 def saving(left: LeftOut | None) -> str:
-    """What something that is left out saves, to put behind its reason; empty where nothing is known."""
+    """Say what something that is left out saves, to put behind its reason.
+
+    Args:
+        left: what it would have taken; None where nothing is known.
+
+    Returns:
+        The words in brackets after a blank; "" where nothing is known.
+    """
     return f" (saves {amount(left.saved_s, left.saved_mb)})" if left is not None else ""
 
 
 def amount(seconds: float, megabytes: float) -> str:
-    """Seconds and megabytes as a person says them."""
+    """Say seconds and megabytes as a person does.
+
+    Args:
+        seconds: of run time.
+        megabytes: of memory; under one half they are not told.
+
+    Returns:
+        The words.
+    """
     time = "next to no time" if seconds < 0.05 else f"about {brief(seconds)}"
     return f"{time}, {megabytes:.0f} MB" if megabytes >= 0.5 else time
 
 
 def outlook(found: Mapping[str, State]) -> str:
-    """What is left to do and what that will take, and what the plan saves by what it leaves out."""
+    """Say what is left to do and what that will take, and what the plan saves by what it leaves out.
+
+    Args:
+        found: how each step stands, by stage (`with_costs`).
+
+    Returns:
+        One line.
+    """
     return "; ".join(filter(None, [_to_do(found), _saved(found)]))
 
 

@@ -12,7 +12,17 @@ from pipeline.errors import UserError
 
 
 def read_obj(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Vertices [V, 3] and triangles [F, 3] of all groups; faces of more corners become fans. Raises UserError."""
+    """Read the surface of all groups together; faces of more corners become fans.
+
+    Args:
+        path: an OBJ file.
+
+    Returns:
+        Vertices [V, 3] and triangles [F, 3].
+
+    Raises:
+        UserError: the file cannot be read, is no OBJ mesh, or has a face of a vertex that is not there.
+    """
     vertices: list[list[float]] = []
     triangles: list[tuple[int, int, int]] = []
     try:

@@ -12,7 +12,12 @@ COMPILING = "compiling"
 
 @dataclass(frozen=True)
 class Cost:
-    """What a stage, or a pass of one, takes: seconds of one core of the reference machine, and MiB that it adds to the peak."""
+    """What a stage, or a pass of one, takes.
+
+    Fields:
+        cpu_s: seconds of one core of the reference machine.
+        memory_mb: MiB that it has at its peak (a stage) or adds to it (a pass).
+    """
 
     cpu_s: float
     memory_mb: float = 0.0
