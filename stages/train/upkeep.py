@@ -135,7 +135,7 @@ class Upkeep:
         if found.share < LEAST_CONCAVITY:
             return False
         field = DepthField(found.points, found.depths)
-        hollow = hollowed(surface if scene.closed is None else scene.moved(scene.closed), field)
+        hollow = hollowed(surface if scene.closed is None else scene.moved(scene.closed), field, spacing)
         if hollow is None or refit(scene.model, self.adam, field, hollow, spacing, p.max_splats, p.seed) is None:
             return False
         scene.hull, scene.closed = hollow, None

@@ -35,9 +35,17 @@ def test_steps_are_whole_and_relative_to_the_run_s_own():
 
 def test_errors_of_decibels_fall_as_they_rise_and_only_shared_figures_count():
     base = errors({"train": {"psnr_srgb": 30.0, "normal_mae_deg": 4.0}})
-    run = measured(Result("a", {"train": {"psnr_srgb": 36.0}}, {"train": {"wall_s": 3.0}}), {}, base)
+    run = measured(Result("a", {"train": {"psnr_srgb": 36.0}}, {"train": {"wall_s": 3.0}}), {}, base, {})
     assert run.error == pytest.approx(10 ** (-6 / 20))
     assert run.total == 3.0
+
+
+def test_a_run_on_a_busy_machine_counts_as_long_as_it_would_have_taken_beside_the_user_s_own():
+    taken = {"train": {"wall_s": 100.0, "cpu_s": 110.0, "compile_s": 0.0}}
+    base = measured(Result("a", {}, taken), {}, {}, {})
+    busy = {"train": {"wall_s": 400.0, "cpu_s": 75.0, "compile_s": 80.0}}
+    run = measured(Result("b", {}, busy), {}, {}, base.pace)
+    assert base.total == pytest.approx(100) and run.total == pytest.approx((75 - 80 * 75 / 400) * 100 / 110)
 
 
 def test_the_pareto_curve_leaves_out_what_another_run_beats():
