@@ -9,7 +9,8 @@ import torch
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
-from ..render_view import LAYER, LEAST_ALPHA, Rendered
+from ..pixel_attributes import LEAST_ALPHA
+from ..render_view import LAYER, Rendered
 from ..views.view import View
 
 SEEN = 0.5  # opacity from which a pixel shows the object and not its outline
