@@ -59,7 +59,7 @@ def run(run: StageRun) -> None:
 
 STAGE = Stage(
     name="relight",
-    version=5,
+    version=6,
     parameters=RelightParameters,
     needs=("decode", "poses", "masks", "olat", "train", "mesh"),
     needed=needed,

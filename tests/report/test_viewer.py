@@ -26,10 +26,13 @@ from pipeline.geometry.cameras import Camera, camera_from_opengl
 from pipeline.optics.sphere import latlong_solid_angles
 from pipeline.report.render import render
 from pipeline.rig.lobe_names import LOBES
+from pipeline.splats.cloud import SplatCloud
+from pipeline.splats.splat_ply import write_splat_ply
 from stages.metrics import report
 from stages.metrics.report.viewer import packing, page, photographs, rig_scene
 from stages.metrics.report.viewer.light_data import light_entry, shrunk
 from stages.metrics.report.viewer.model_scene import scene_of
+from stages.metrics.report.viewer.splat_data import splat_entry
 from stages.metrics.report.viewer.surface_data import ATTRIBUTES, IOR_RANGE, surface_entry, thinned
 from synth.orbit import look_at
 
@@ -323,6 +326,57 @@ def test_the_viewer_draws_the_model_as_the_pipeline_shades_it(tmp_path, textured
     inside[1:-1, 1:-1] &= inside[:-2, 1:-1] & inside[2:, 1:-1] & inside[1:-1, :-2] & inside[1:-1, 2:]
     assert inside.sum() > 0.2 * SIZE**2
     assert psnr(shown, image, inside) > 34
+
+
+def ball_of_discs(path: Path) -> SplatCloud:
+    """Discs on the unit sphere whose colour changes over it and with the direction to the camera."""
+    k = np.arange(6000) + 0.5
+    y, angle = 1 - 2 * k / len(k), np.pi * (1 + np.sqrt(5)) * k
+    n = np.stack([np.sqrt(1 - y * y) * np.cos(angle), y, np.sqrt(1 - y * y) * np.sin(angle)], -1)
+    q = np.stack([1 + n[:, 2], -n[:, 1], n[:, 0], 0 * y], -1)
+    coefficients = np.zeros((len(k), 16, 3))
+    coefficients[:, 0] = 0.6 * n
+    coefficients[:, 1], coefficients[:, 8], coefficients[:, 14] = 0.2, [0.1, 0, 0.2], [0, 0.1, 0]
+    sigma = np.log(0.5 * np.sqrt(4 * np.pi / len(k)))
+    scales = np.stack([0 * y + sigma, 0 * y + sigma, 0 * y - 9], -1)
+    cloud = SplatCloud(n, q / np.linalg.norm(q, axis=1, keepdims=True), scales, 0 * y + 3.0, coefficients)
+    write_splat_ply(path, cloud)
+    return cloud
+
+
+def test_the_splats_in_the_page_are_those_of_the_file(tmp_path):
+    cloud = ball_of_discs(tmp_path / "lit.ply")
+    entry = splat_entry(tmp_path / "lit.ply", np.eye(3))
+    normal = packing.unfolded(packing.unpacked(entry["normal"]))
+    assert np.abs(normal - cloud.means).max() < 1e-3
+    colour = packing.unpacked(entry["colour"]).reshape(-1, 16, 3) / 127 * np.array(entry["range"])[:, None]
+    assert np.abs(colour - cloud.coefficients).max() < 0.005
+    assert np.abs(packing.unpacked(entry["sigma"]).view("<f2").astype(float) - np.exp(cloud.log_scales[:, 0])).max() < 1e-4
+    assert splat_entry(tmp_path / "none.ply", np.eye(3)) is None
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium to draw with")
+def test_the_viewer_blends_the_splats_in_their_colours(tmp_path):
+    baked(tmp_path / "mesh.ply")
+    cloud, camera = ball_of_discs(tmp_path / "lit.ply"), camera_at([2.0, 1.2, 3.4])
+    entry = {"name": "a", "test": False, "angle": None, "picture": "data:,", **photographs.pose_entry(camera, np.eye(3))}
+    surface, lights = surface_entry(tmp_path / "mesh.ply", np.eye(3)), [light_entry("even", "even", np.ones((8, 16, 3)))]
+    scene = scene_of(surface, lights, "ggx", np.eye(3), [entry], 1.0)
+    scene["splats"] = splat_entry(tmp_path / "lit.ply", np.eye(3))
+    draw = (
+        f"v.canvas.width = v.canvas.height = {SIZE}; v.state.camera = 0; v.state.shown = 'splats';"
+        " v.model.draw({place: v.place(), state: v.state, light: v.light, photograph: null});"
+    )
+    shown = shown_in_browser(tmp_path, scene, draw)
+    where, inside = met(camera)
+    colours = np.zeros((*inside.shape, 3))
+    nearest = (where[inside] @ cloud.means.T).argmax(1)
+    colours[inside] = np.clip(cloud.colours(camera.centre)[nearest], 0, 1)
+    facing = inside & ((where * -camera.rays()).sum(-1) > 0.3)
+    error = shown[..., :3] / 255 - colours
+    assert facing.sum() > 0.2 * SIZE**2
+    assert -10 * np.log10((error[facing] ** 2).mean()) > 30
 
 
 @pytest.mark.slow

@@ -1,6 +1,7 @@
 // Draws the model: mesh, environment behind it, photograph before it.
 const COARSE_CELLS = 48;  // along the box: about seven thousand triangles
 const SHOWN = ['relit', 'diffuse', 'specular', 'albedo', 'normal', 'roughness', 'ior', 'dolp', 'aolp'];
+const LIT = 'splats';  // beside the views of the mesh: the Gaussians under the captured light
 
 class Model {
   static async open(canvas, scene) {
@@ -23,6 +24,7 @@ class Model {
     };
     this.probe = gl.getExtension('EXT_color_buffer_float') ? new Probe(this, [...shading, 'probe.frag']) : null;
     await this.geometry(surface);
+    this.splats = scene.splats ? await Splats.open(this, scene.splats) : null;
     const pictures = surface.pictures || {};
     const [albedo, properties] = await Promise.all(['albedo', 'surface'].map(name => this.picture(pictures[name])));
     const [depth, height, width] = scene.mirror.shape, table = await unpack(scene.mirror);
@@ -124,10 +126,11 @@ class Model {
     gl.viewport(0, 0, canvas.width, canvas.height);
     gl.clearColor(0, 0, 0, 0);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
-    this.drawMesh(this.programs.show, values, coarse);
+    if (state.shown === LIT) this.splats.draw(values, place.eye);
+    else this.drawMesh(this.programs.show, values, coarse);
     const triangle = (program, more) => { program.use({...values, ...more}); gl.drawArrays(gl.TRIANGLES, 0, 3); };
     gl.depthFunc(gl.LEQUAL);
-    if (state.sky) triangle(this.programs.sky, {});
+    if (state.sky && state.shown !== LIT) triangle(this.programs.sky, {});
     if (photograph) {
       gl.disable(gl.DEPTH_TEST);
       gl.enable(gl.SCISSOR_TEST);
