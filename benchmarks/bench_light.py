@@ -4,7 +4,7 @@
 
 DIR holds captures with `gt/` and `gt/relight/` (or the environment variable POLARFIELD_CAPTURES); a bowl of albedo 0.9 is
 rendered beside them (`python -m synth --only bowl`). Shading gets the true shape, IoR, roughness and maps, and the true albedo,
-or, where none is told, the one that makes the captured s0 right: what is left is the error of the light. Two sets of choices:
+or, where none is known, the one that makes the captured s0 right: what is left is the error of the light. Two sets of choices:
 all kinds of indirect light with the finest affordable mirror, and all mirrors with traced light; "traced, sharp" is what
 `relight` does. Seconds are of one core's
 processor time. `training` is what each kind adds to a step and to the rendering of a test view, as PhyGaP prints it (24.1 and

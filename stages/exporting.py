@@ -53,7 +53,7 @@ def export(dataset: Dataset, to: str, output: str) -> Path:
 
 
 def _writer(to: str) -> Callable[[Dataset, Path], None]:
-    special = {"nerfstudio": _nerfstudio, "colmap": _colmap, "splat": _splat}
+    special = {"nerfstudio": _nerfstudio, "colmap": _colmap, "splat": _splats, "maps": _maps}
     return special.get(to) or (lambda dataset, folder: _asset(dataset, folder, to))
 
 
@@ -78,8 +78,19 @@ def _asset(dataset: Dataset, folder: Path, to: str) -> None:
             shutil.copyfile(source / name, folder / name)
 
 
-def _splat(dataset: Dataset, folder: Path) -> None:
-    shutil.copyfile(_stage(dataset, "train") / files.GAUSSIANS, folder / "splat.ply")
+def _splats(dataset: Dataset, folder: Path) -> None:
+    from stages.export_splats import export_splats
+
+    train, mesh = _stage(dataset, "train"), dataset.current("mesh")
+    facts = None if mesh is None else mesh.folder / files.ASSET / "asset.json"
+    unit_m = read_json(facts, "run the mesh stage again").get("unit_m") if facts is not None and facts.exists() else None
+    export_splats(train, unit_m, folder)
+
+
+def _maps(dataset: Dataset, folder: Path) -> None:
+    from stages.export_maps import export_maps
+
+    export_maps(_stage(dataset, "decode"), _stage(dataset, "olat"), folder)
 
 
 def _nerfstudio(dataset: Dataset, folder: Path) -> None:

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-PACKAGES = ("pipeline", "stages", "synth")
+PACKAGES = ("pipeline", "polarfield", "stages", "synth")
 FILE_LINES, FUNCTION_LINES = 250, 50
 
 # Name: (lines it may have, to the next ten; why it has them). Nothing is added here without a reason that a reader accepts;
