@@ -34,8 +34,8 @@ class RelightParameters:
     shadow_rays: Literal["vertex", "pixel"] = field(
         default="vertex",
         metadata={
-            "help": "shadows of even light by rays of the mesh's vertices, or of every pixel: seconds a view; lamps' shadows are "
-            "sharp in either"
+            "help": "shadows of even light by rays of the mesh's vertices, or of every pixel: seconds a view; lamps' "
+            "shadows are sharp in either"
         },
     )
     previews: bool = field(default=True, metadata={"help": "write a PNG beside every EXR"})
