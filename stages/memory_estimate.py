@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import Any
 
 from pipeline.capture import Capture
+from pipeline.capture.view_rules import too_few_views
 
 MEBI = 2**20
 PROGRAM = 80.0  # Python, numpy and this program
@@ -136,7 +137,7 @@ def relight(capture: Capture, parameters: Any, jobs: int) -> float:
 
 
 def metrics(capture: Capture, parameters: Any, jobs: int) -> float:
-    """Estimate metrics: the report's pictures; where there is a true mesh, open3d and the sampled points.
+    """Estimate metrics: torch, for what the report lets one turn, and the pictures; open3d beside it where there is a mesh.
 
     Args:
         capture: as recognised.
@@ -146,10 +147,8 @@ def metrics(capture: Capture, parameters: Any, jobs: int) -> float:
     Returns:
         MiB at the peak.
     """
-    if capture.light_stage is not None:
-        return 95.0 + 60 * _largest(capture) / MEBI
-    solid = capture.truth.root.joinpath("gt", "mesh.ply").exists()
-    return (150.0 if not solid else 160.0) + 60 * _largest(capture) / MEBI
+    solid = capture.light_stage is None and too_few_views(capture) is None
+    return (550.0 if solid else 345.0) + 60 * _largest(capture) / MEBI
 
 
 def _largest(capture: Capture) -> int:

@@ -131,7 +131,7 @@ class CaptureConfig:
         up: the world's up axis ("y", "z", "-y", ...); None: as the layout has it.
         unit_m: metres per world unit, None: not known.
         layout: name of a layout; None: recognised by its files.
-        clean_plate: file or folder with photographs of the empty scene, relative to the capture.
+        clean_plate: folder (or file) with photographs of the empty scene, relative to the capture.
         stokes, radiometry, mosaic, stack, raw, olat, poses: tables of these names.
         polarisers: [polarisers.CAMERA] by physical camera.
         stage: [stage.NAME] by stage, unchecked.

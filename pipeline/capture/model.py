@@ -191,12 +191,12 @@ class Capture:
 
     @property
     def pixels(self) -> list[int]:
-        """Pixels of every view (of a light stage: of every camera); a megapixel where nothing has told its size."""
+        """Pixels of every view (of a light stage: of every camera); a megapixel where its size is not known."""
         if self.light_stage is not None:
             return [c.camera.width * c.camera.height for c in self.light_stage.cameras.values()]
         cameras = self.cameras or {}
-        told = (v.size or ((c.width, c.height) if (c := cameras.get(v.view)) else (1024, 1024)) for v in self.views)
-        return [width * height for width, height in told]
+        sizes = (v.size or ((c.width, c.height) if (c := cameras.get(v.view)) else (1024, 1024)) for v in self.views)
+        return [width * height for width, height in sizes]
 
     @property
     def camera_file(self) -> Path:
@@ -207,7 +207,7 @@ class Capture:
     @property
     def truth(self) -> Truth:
         """What the folder holds of ground truth."""
-        return Truth(self.root, tuple(sorted(view.view for view in self.views)))
+        return Truth(self.root, tuple(sorted(view.view for view in self.views)), self.layout)
 
     def view(self, name: str) -> ViewSource:
         """The view called `name`; KeyError if there is none."""

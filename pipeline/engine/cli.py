@@ -10,13 +10,15 @@ from pathlib import Path
 
 from pipeline.engine.arguments import command_parser, parse
 from pipeline.engine.call import Call, describe, open_call, place_of
-from pipeline.engine.changes import State, expected_warnings, keep_hint, outlook, plan_text, stale_after, states
+from pipeline.engine.changes import State, expected_warnings, keep_hint, stale_after, states
 from pipeline.engine.child import run_stage
 from pipeline.engine.completion import script
+from pipeline.engine.costs.estimate import Estimator
 from pipeline.engine.device import device_of, refuse_missing_cuda
 from pipeline.engine.early import look_early, say_warnings
 from pipeline.engine.gc import collect
 from pipeline.engine.interrupts import Interrupted, interruptible
+from pipeline.engine.outlook import outlook, plan_text, with_costs
 from pipeline.engine.places import existing_dataset, refuse_another_capture
 from pipeline.engine.plan import Step, load_stages, make_plan
 from pipeline.engine.program import Program
@@ -102,6 +104,7 @@ def _show(call: Call) -> int:
     if known:
         refuse_another_capture(call.dataset, call.capture, steps)
     found = states(call.dataset, steps)
+    found = with_costs(found, Estimator(call.capture, steps, call.dataset, device_of(call.options.device)))
     print(f"{call.capture.root.name}: {call.capture.layout}\n{plan_text(steps, found)}\n{outlook(found)}")
     if hint := keep_hint(call.last, call.settings, found, call.stages, call.command not in call.stages):
         print(hint)
@@ -223,7 +226,7 @@ def _make_alone(call: Call, steps: list[Step]) -> int:
     step = next(s for s in steps if s.stage.name == call.command)
     device = device_of(call.options.device) if step.stage.device else "cpu"
     allowed = allowance(step, call.capture, call.options.jobs, call.options.memory)
-    make_version(call.dataset, call.capture, step, call.capture.environments, device, allowed, call.progress)
+    make_version(call.dataset, call.capture, step, call.capture.environments, device, allowed, call.progress, steps)
     return 0
 
 

@@ -99,7 +99,14 @@ def clock(seconds: float) -> str:
 
 
 def brief(seconds: float) -> str:
-    """As `clock`, with a digit after the point below ten seconds."""
+    """Say seconds as `clock` does, with a digit after the point below ten.
+
+    Args:
+        seconds: of time.
+
+    Returns:
+        The words.
+    """
     return f"{seconds:.1f} s" if seconds < 9.95 else clock(seconds)
 
 

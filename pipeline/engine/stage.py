@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pipeline.engine.costs.cost import Cost
 from pipeline.engine.progress import Progress
 from pipeline.errors import UserError, nearest
 from pipeline.formats.typed_values import typed
@@ -54,6 +55,11 @@ def little_memory(capture: Capture, parameters: Any, jobs: int) -> float:
     return 150.0
 
 
+def no_costs(capture: Capture, parameters: Any) -> Mapping[str, Cost]:
+    """For a stage of which nothing is estimated."""
+    return {}
+
+
 def no_check(capture: Capture) -> None:
     """For a stage whose files are checked where the capture is recognised."""
 
@@ -76,6 +82,8 @@ class Stage:
         environments: it reads the maps to relight under.
         device: it runs on the device that a call names (every other stage runs on the processor and loads nothing to find out).
         memory: MiB that it will have at its peak, with so many jobs side by side.
+        costs: its parts (ITSELF, COMPILING and its passes, whether they run or not), and what each takes.
+        parallel: share of its processor time that spreads over the cores.
     """
 
     name: str
@@ -91,6 +99,8 @@ class Stage:
     environments: bool = False
     device: bool = False
     memory: Callable[[Capture, Any, int], float] = little_memory
+    costs: Callable[[Capture, Any], Mapping[str, Cost]] = no_costs
+    parallel: float = 0.0
 
 
 @dataclass
@@ -109,6 +119,7 @@ class StageRun:
         jobs: pieces that may be worked on side by side.
         warnings: said so far (`warn`).
         facts: kept so far (`note`).
+        left_out: what the plan leaves out, by STAGE or STAGE.PASS: {"saved_s", "saved_mb", "reason"} each.
     """
 
     capture: Capture
@@ -122,6 +133,7 @@ class StageRun:
     jobs: int = 1
     warnings: list[str] = field(default_factory=list)
     facts: dict[str, Any] = field(default_factory=dict)
+    left_out: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     def warn(self, text: str) -> None:
         """Tell the user of something that does not stop the work; kept in the manifest."""

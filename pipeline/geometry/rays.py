@@ -86,6 +86,12 @@ class RayMesh:
         """How often rays [..., 3] cross the mesh."""
         return self._scene.count_intersections(self._rays(origins, directions)).numpy()
 
+    def every_hit(self, origins: NDArray, directions: NDArray) -> tuple[NDArray, NDArray, NDArray[np.float32]]:
+        """Every hit of rays [R, 3], not the first alone [K]: ray, triangle (int64), distance in lengths of its direction."""
+        found = self._scene.list_intersections(self._rays(origins, directions))
+        ray, triangle = (found[name].numpy().astype(np.int64) for name in ("ray_ids", "primitive_ids"))
+        return ray, triangle, found["t_hit"].numpy()
+
     def closest(self, points: NDArray) -> Closest:
         """The mesh's points closest to points [P, 3]."""
         found = self._scene.compute_closest_points(self._single(points))

@@ -105,6 +105,9 @@ def occupancy(
     """
     worst = np.full((outvoted + 1, len(points)), np.inf, np.float32)
     judges = np.zeros(len(points), np.int32)
+    if not outvoted:
+        _judge_all(silhouettes, distances, points, worst[0], judges)
+        return _judged(worst[0], judges, len(silhouettes))
     for s, distance in zip(silhouettes, distances):
         pixels, z = s.camera.project(points)
         height, width = distance.shape
@@ -115,10 +118,34 @@ def occupancy(
         length = np.full(len(points), np.inf, np.float32)
         judges += seen
         length[seen] = value * (z[seen] / (0.5 * (s.camera.fx + s.camera.fy))).astype(np.float32)
-        worst = np.sort(np.concatenate([worst, length[None]]), 0)[: outvoted + 1] if outvoted else np.minimum(worst, length)
-    far = max(float(np.abs(worst[np.isfinite(worst)]).max()) if np.isfinite(worst).any() else 1.0, 1e-30)
-    judged = judges >= max(2, MIN_VIEW_FRACTION * len(silhouettes))
-    return np.where(judged & np.isfinite(worst[-1]), worst[-1], -far).astype(np.float32)
+        worst = np.sort(np.concatenate([worst, length[None]]), 0)[: outvoted + 1]
+    return _judged(worst[-1], judges, len(silhouettes), worst)
+
+
+def _judge_all(
+    silhouettes: Sequence[Silhouette],
+    distances: Sequence[np.ndarray],
+    points: np.ndarray,
+    worst: np.ndarray,
+    judges: np.ndarray,
+) -> None:
+    """Least signed distance [M] (it comes as infinity) and number of judges [M], a picture at a time, in one pass each."""
+    from .silhouette_kernel import judge
+
+    places = np.ascontiguousarray(points, np.float64)
+    for s, distance in zip(silhouettes, distances):
+        lens = np.array([s.camera.fx, s.camera.fy, s.camera.cx, s.camera.cy])
+        matrix = np.ascontiguousarray(s.camera.world_to_camera, np.float64)
+        judge(places, matrix, lens, np.ascontiguousarray(distance, np.float64), worst, judges)
+
+
+def _judged(worst: np.ndarray, judges: np.ndarray, pictures: int, all_: np.ndarray | None = None) -> np.ndarray:
+    """Distances [M] where enough of the pictures judge; elsewhere as far outside as anything is."""
+    finite = worst if all_ is None else all_
+    finite = finite[np.isfinite(finite)]
+    far = max(float(np.abs(finite).max()) if len(finite) else 1.0, 1e-30)
+    judged = judges >= max(2, MIN_VIEW_FRACTION * pictures)
+    return np.where(judged & np.isfinite(worst), worst, -far).astype(np.float32)
 
 
 def grid(low: np.ndarray, high: np.ndarray, spacing: float) -> tuple[np.ndarray, tuple[int, ...]]:

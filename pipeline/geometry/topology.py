@@ -14,8 +14,15 @@ Index = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Topology:
-    """components: connected pieces; genus: handles in all of them (None: not closed); open_edges: edges of one triangle;
-    crowded_edges: edges of three or more; inside_out: triangles against the normals of all their corners."""
+    """How a mesh hangs together.
+
+    Fields:
+        components: connected pieces.
+        genus: handles in all of them; None where the surface is not closed.
+        open_edges: edges of one triangle.
+        crowded_edges: edges of three or more.
+        inside_out: triangles against the normals of all their corners.
+    """
 
     components: int
     genus: int | None

@@ -137,7 +137,7 @@ def solve3(a, b, c, d, e, f, x, y, z):
 
 @kernel(error_model="numpy")
 def cholesky_solve(matrix, rhs, n, out):
-    """Solve a positive definite system by Cholesky's factorisation; device function, float64.
+    """Solve a positive definite system by Cholesky's factorisation; device function.
 
     Args:
         matrix: lower triangle; overwritten by its factor. [n, n]

@@ -31,7 +31,7 @@ def line_chart(x: Sequence[float], series: Mapping[str, Sequence[float]], x_titl
     """Draw a line chart as SVG that takes its colours from the page.
 
     Args:
-        x: shared by all series, in any order of magnitude.
+        x: shared by all series.
         series: name to its values at `x`; gaps where they are not finite.
         x_title, y_title: of the axes.
         log: put y on a logarithmic axis; values not above 0 are gaps.

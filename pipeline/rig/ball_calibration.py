@@ -142,7 +142,7 @@ def calibrated(frames: list[Float], mask: NDArray, kind: str, focal: float | Non
         mask: the ball, above 0.5. [H, W]
         kind: "mirror" or "matte".
         focal: focal length, pixels; None: the ball is seen from far away.
-        principal: principal point x, y, pixels; None: the middle.
+        principal: principal point x, y, pixels; it counts only together with `focal`.
 
     Returns:
         One light a frame.

@@ -25,28 +25,6 @@ READERS = 2
 MAP_LIGHTS = 2000  # cells of 4.5 degrees; a lobe narrower than its cell is widened by it
 
 
-def relight_olat(
-    olat_index: Mapping[str, Any] | Path,
-    capture_root: Path,
-    camera: str,
-    env_latlong: NDArray,
-    mask: NDArray[np.bool_] | None = None,
-    *,
-    irradiance: float = np.pi,
-    specular_factor: float = 2.0,
-    up: str = "y",
-    decode_folder: Path | None = None,
-) -> NDArray[np.float32]:
-    """The object under a map, as the sum of its frames weighted by the light in each light's cell: float32 [H, W, 3].
-
-    As `relight_frames`, for one map env_latlong [h, w, 3].
-    """
-    return relight_frames(
-        olat_index, capture_root, camera, [env_latlong], mask, irradiance=irradiance, specular_factor=specular_factor, up=up,
-        decode_folder=decode_folder,
-    )[0]  # fmt: skip
-
-
 def relight_frames(
     olat_index: Mapping[str, Any] | Path,
     capture_root: Path,

@@ -72,7 +72,23 @@ class LightField:
         return light_tree(self.pyramid, self.resolution, COARSEST)
 
     def mirrored(self, directions: torch.Tensor, roughness: torch.Tensor) -> torch.Tensor:
-        """E(r, direction) [P, 3] for directions [P, 3] and perceptual roughness [P]."""
+        """E(r, direction) [P, 3] for directions [P, 3] and perceptual roughness [P].
+
+        Without a gradient, in float32 on the CPU, by one pass of a kernel.
+        """
+        given = (directions, roughness, self.packed)
+        plain = torch.is_grad_enabled() and any(t.requires_grad for t in given)
+        if plain or not all(t.device.type == "cpu" and t.dtype == torch.float32 for t in given):
+            return self.mirrored_plainly(directions, roughness)
+        from .mirrored_kernel import mirrored_rows
+
+        out = torch.empty(directions.shape)
+        arrays = [t.detach().contiguous().numpy() for t in given]
+        mirrored_rows(*arrays, *self.tables()[:5], out.numpy())
+        return out
+
+    def mirrored_plainly(self, directions: torch.Tensor, roughness: torch.Tensor) -> torch.Tensor:
+        """`mirrored` in torch: the definition."""
         nodes = torch.as_tensor(self.roughnesses, dtype=roughness.dtype, device=roughness.device)
         k = torch.searchsorted(nodes, roughness.detach().contiguous(), right=True) - 1
         k = k.clamp(0, len(self.roughnesses) - 2)

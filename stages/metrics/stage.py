@@ -7,7 +7,7 @@ from pathlib import Path
 
 from pipeline.capture import Capture
 from pipeline.engine.stage import Decision, Stage, StageRun
-from stages import memory_estimate
+from stages import memory_estimate, time_estimate
 
 from .parameters import MetricsParameters
 
@@ -47,6 +47,7 @@ STAGE = Stage(
     run=run,
     capture_files=capture_files,
     check=check,
-    config=("up", "olat"),
+    config=("up", "olat", "unit_m"),
     memory=memory_estimate.metrics,
+    costs=time_estimate.metrics,
 )

@@ -17,7 +17,7 @@ from pipeline.report.explained import FEWEST, doubts, explained
 from . import export
 from .lit.write import LitSplats, cameras_around, write_lit
 from .objective import compared
-from .render_view import Rendered, mean_normals
+from .render_view import Rendered, inner_coverage, mean_normals
 from .setup import Start
 from .trainer import Trainer
 from .views.source_views import SourceView
@@ -113,8 +113,10 @@ def write_results(trainer: Trainer, start: Start, sources: list[SourceView], sta
             if rendered.gbuffer.extra.shape[-1]:
                 export.write_learnt_light(files.learnt_light(output, source.name), rendered, view, frame)
             if source.split == "test":
-                normals = mean_normals(trainer.scene.model.activated(), view, trainer.renderer.backend, openings)
-                channels = export.with_normals(channels, normals, view, frame)
+                splats, backend = trainer.scene.model.activated(), trainer.renderer.backend
+                channels = export.with_normals(channels, mean_normals(splats, view, backend, openings), view, frame)
+                if openings:
+                    channels = export.with_inner_sides(channels, inner_coverage(splats, view, backend))
                 write_exr(files.held_back_image(output, source.name), channels)
             else:
                 lit.keep(view, rendered)

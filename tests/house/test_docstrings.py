@@ -122,12 +122,12 @@ def arguments(function: ast.FunctionDef) -> list[ast.arg]:
     return [arg for arg in named if arg.arg not in ("self", "cls") and not arg.arg.startswith("_")]
 
 
-def described(arg: str, annotation: ast.expr | None, told: dict[str, str]) -> list[str]:
+def described(arg: str, annotation: ast.expr | None, texts: dict[str, str]) -> list[str]:
     """What is missing of an argument's or a field's description."""
-    if not told.get(arg, "").strip():
+    if not texts.get(arg, "").strip():
         return [f"{arg} is not described"]
     array = annotation is not None and ARRAY.search(ast.unparse(annotation))
-    return [f"{arg} has no [shape]"] if array and not SHAPE.search(told[arg]) else []
+    return [f"{arg} has no [shape]"] if array and not SHAPE.search(texts[arg]) else []
 
 
 def own_nodes(node: ast.AST) -> Iterator[ast.AST]:
@@ -147,8 +147,8 @@ def raised(function: ast.FunctionDef) -> set[str]:
 def function_faults(function: ast.FunctionDef, text: str) -> list[str]:
     """What is missing of a function's docstring."""
     parts = sections(text)
-    told = entries(parts.get("Args", ""))
-    faults = [fault for arg in arguments(function) for fault in described(arg.arg, arg.annotation, told)]
+    texts = entries(parts.get("Args", ""))
+    faults = [fault for arg in arguments(function) for fault in described(arg.arg, arg.annotation, texts)]
     gives = any(isinstance(node, ast.Return) and node.value for node in own_nodes(function))
     returns = ast.unparse(function.returns) if function.returns else str(gives or None)
     if returns not in ("None", "NoReturn"):
@@ -176,13 +176,13 @@ def class_faults(node: ast.ClassDef, text: str, lines: list[str]) -> list[str]:
     """What is missing of a class's docstring, its fields' strings or its constructor's."""
     constructor = next((n for n in node.body if isinstance(n, ast.FunctionDef) and n.name == "__init__"), None)
     parts = sections(text) | sections(ast.get_docstring(constructor) or "" if constructor else "")
-    told = entries(parts.get("Args", "")) | entries(parts.get("Fields", ""))
+    texts = entries(parts.get("Args", "")) | entries(parts.get("Fields", ""))
     if constructor is not None:
-        return [fault for arg in arguments(constructor) for fault in described(arg.arg, arg.annotation, told)]
-    told = {name: beside or told.get(name, "") for name, beside in beneath(node.body, lines).items()}
+        return [fault for arg in arguments(constructor) for fault in described(arg.arg, arg.annotation, texts)]
+    texts = {name: beside or texts.get(name, "") for name, beside in beneath(node.body, lines).items()}
     fields = [n for n in node.body if isinstance(n, ast.AnnAssign) and isinstance(n.target, ast.Name)]
     public = [n for n in fields if not n.target.id.startswith("_") and not ast.unparse(n.annotation).startswith("ClassVar")]
-    return [fault for n in public for fault in described(n.target.id, n.annotation, told)]
+    return [fault for n in public for fault in described(n.target.id, n.annotation, texts)]
 
 
 def faults_of(node: Definition, lines: list[str]) -> list[str]:

@@ -64,6 +64,7 @@ def defined(path: Path) -> frozenset[str]:
 
 def is_there(path: str, document: Path) -> bool:
     """Whether a path stands for something of the project: from the root, or the end of one; `*` for anything within a name."""
+    path = path.removesuffix("/__pycache__")  # made by the first import, or elsewhere
     pattern = re.compile(rf"(?:.*/)?{re.escape(path.rstrip('/.')).replace(re.escape('*'), '[^/]*')}")
     return (ROOT / path).exists() or (document.parent / path).exists() or any(pattern.fullmatch(p) for p in PLACES)
 
