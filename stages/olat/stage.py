@@ -63,7 +63,7 @@ def run(stage: StageRun) -> None:
 
 STAGE = Stage(
     name="olat",
-    version=9,
+    version=10,
     parameters=OlatParameters,
     needs=("decode", "masks"),
     needed=needed,
