@@ -143,13 +143,13 @@ def _row(setting: Setting, seed: int) -> Row:
     wrong = good & (np.maximum(off["n_d"], off["n_s"]) > WRONG_DEG)
     wrong |= good & (np.maximum(off["sigma"], off["rho_s"]) > WRONG_SHARE)
     most = float(rows[good, AT["specular_albedo"]].max()) if good.any() else 0.0
-    bent = float(np.mean(rows[good, AT["anisotropy"]] > ANISOTROPIC)) if good.any() else 0.0
+    bent = int(np.sum(rows[good, AT["anisotropy"]] > ANISOTROPIC))
     is_round = "sigma" in setting.options and setting.options["sigma"][0] == setting.options["sigma"][1]
     share = float(wrong.sum() / max(good.sum(), 1))
     faults = [
         f"{100 * share:.1f} % of those flagged good are wrong" if wrong.sum() > max(MOST_WRONG * good.sum(), 1) else "",
         f"a specular albedo of {most:.1e} is flagged good" if most > RHO_SPACE else "",
-        f"{100 * bent:.1f} % of the round lobes are called anisotropic" if is_round and bent > MOST_WRONG else "",
+        f"{bent} round lobes are called anisotropic" if is_round and bent > max(MOST_WRONG * good.sum(), 1) else "",
         "values that are not finite" if not np.isfinite(rows).all() else "",
     ]
     flags = np.bincount(rows[:, FLAG].astype(int), minlength=len(FLAGS))
