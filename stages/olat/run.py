@@ -200,7 +200,7 @@ def write_camera(stage: StageRun, job: CameraJob, parts: Iterator[Part], setting
             "specular maps will show edges there: align the frames before, or capture again with the object fixed"
         )
     stage.note(f"{job.name}.tangent_pixels", directed)
-    verdict.tell(stage, job.name)
+    verdict.tell(stage, job.name, lobe=job.passes == "both")
 
 
 def say_shift(stage: StageRun, job: CameraJob, shift: tuple[int, int]) -> None:
