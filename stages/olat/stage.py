@@ -6,8 +6,9 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from pipeline.capture import Capture
+from pipeline.engine.costs import Cost
 from pipeline.engine.stage import Decision, Stage, StageRun
-from stages import memory_estimate
+from stages import memory_estimate, time_estimate
 from stages.olat.parameters import OlatParameters
 
 
@@ -28,6 +29,7 @@ def needed(capture: Capture, parameters: OlatParameters) -> Decision:
         ),
     }  # fmt: skip
     cameras = f"{len(stage.cameras)} camera{'s' * (len(stage.cameras) != 1)}"
+    passes["pixels outside the masks"] = Decision(False, "only pixels of the object are fitted")
     return Decision(True, f"{cameras} under {len(stage.lights)} lights, cross and parallel", passes)
 
 
@@ -49,11 +51,23 @@ def given_files(capture: Capture, parameters: OlatParameters) -> tuple[Path, ...
 
 def memory(capture: Capture, parameters: OlatParameters, jobs: int) -> float:
     """MiB at its peak."""
+    return memory_estimate.olat(capture, parameters, jobs, _compiled(capture, parameters))
+
+
+def costs(capture: Capture, parameters: OlatParameters) -> dict[str, Cost]:
+    """What it takes, with what its passes take."""
+    if capture.light_stage is None:
+        return time_estimate.olat(capture, parameters, compiled=True)
+    return time_estimate.olat(capture, parameters, _compiled(capture, parameters))
+
+
+def _compiled(capture: Capture, parameters: OlatParameters) -> bool:
+    """Whether the fits' machine code is kept for such frames."""
     from stages.olat.pixel_fit.many_pixels import ready
 
     assert capture.light_stage is not None
     half = all(c.cross and c.cross[0].suffix.lower() == ".exr" for c in capture.light_stage.cameras.values())
-    return memory_estimate.olat(capture, parameters, jobs, ready(half, parameters.precision))
+    return ready(half, parameters.precision)
 
 
 def run(stage: StageRun) -> None:
@@ -71,7 +85,7 @@ def run(stage: StageRun) -> None:
 
 STAGE = Stage(
     name="olat",
-    version=9,
+    version=10,
     parameters=OlatParameters,
     needs=("decode", "masks"),
     needed=needed,
@@ -80,4 +94,6 @@ STAGE = Stage(
     config=("olat", "radiometry"),
     given_files=given_files,
     memory=memory,
+    costs=costs,
+    parallel=0.8,
 )
