@@ -10,9 +10,18 @@ from .model import Capture
 
 
 def named_file(capture: Capture, name: str, key: str) -> Path | None:
-    """The file called `name`: in the capture's folder, else where the command runs; None where none is given.
+    """The file that a parameter names: in the capture's folder, else where the command runs.
 
-    key: the parameter that names it. Raises UserError.
+    Args:
+        capture: whose folder is looked in.
+        name: the parameter's value; empty: no file is meant.
+        key: the parameter, for the message.
+
+    Returns:
+        Its path; None where none is meant.
+
+    Raises:
+        UserError: there is no such file.
     """
     if not name:
         return None

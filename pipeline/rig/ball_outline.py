@@ -23,8 +23,14 @@ ALIKE = 0.9  # of the best one's score, at which another circle is as likely
 
 @dataclass(frozen=True)
 class Outline:
-    """A ball's circle in pixels (centre x, y with pixel centres at +0.5), residual: root mean square distance of its edge (px),
-    covered: share of the circle where there is an edge."""
+    """A ball's circle in a picture, in pixels whose centres lie at +0.5.
+
+    Fields:
+        x, y: centre.
+        radius: px.
+        residual: root mean square distance of the edge from the circle (px).
+        covered: share of the circle where there is an edge.
+    """
 
     x: float
     y: float
@@ -40,9 +46,16 @@ class Outline:
 
 
 def find_ball(picture: Float) -> Outline:
-    """The ball in a picture [H, W] or [H, W, 3] (linear): all lights on, or the mean of the frames.
+    """The ball in a picture.
 
-    Raises ValueError that says why where there is none, or where two circles are as likely.
+    Args:
+        picture: linear, all lights on or the mean of the frames. [H, W] or [H, W, 3]
+
+    Returns:
+        The circle that most of the edges agree on.
+
+    Raises:
+        ValueError: says why there is none, or which two are as likely.
     """
     grey = np.asarray(picture, float).reshape(*picture.shape[:2], -1).mean(-1)
     top = float(np.quantile(grey, 0.99))
