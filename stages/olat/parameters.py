@@ -49,6 +49,12 @@ class OlatParameters:
         default="surface", metadata={"help": "sigma: surface, without the spread of normals within a pixel; pixel, with it"}
     )
     albedo_over_occlusion: bool = field(default=False, metadata={"help": "divide the albedos by the occlusion maps (noisy)"})
+    geometry: str = field(
+        default="",
+        metadata={
+            "help": "mesh of this object: lights that it hides from a pixel are dark there, near ones lit its surface (file)"
+        },
+    )
     align: bool = field(
         default=True, metadata={"help": "undo a shift of the parallel pass against the crossed one, in whole pixels"}
     )

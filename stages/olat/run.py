@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass
 from importlib.metadata import version
-from itertools import groupby
+from itertools import chain, groupby
 from typing import Any
 
 import numpy as np
@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 from pipeline.engine.stage import StageRun
 from pipeline.errors import UserError
 from pipeline.formats.dataset_files import FITTED_LOBE
-from pipeline.geometry.cameras import Camera
 from pipeline.rig.light_table import LightTable
 from pipeline.rig.lobe_names import LOBES
 from stages.olat.evidence.after_fits import Verdict
 from stages.olat.evidence.before_fits import check_capture, check_rig
+from stages.olat.known_geometry import KnownGeometry, known_geometry, nearest_points
 from stages.olat.maps.footprint import with_neighbours
 from stages.olat.maps.map_files import MapWriter
 from stages.olat.maps.preview import write_preview
@@ -66,6 +66,7 @@ def run(stage: StageRun, lanes: Lanes) -> None:
         stage.progress.say("compiling the fits for this machine (once; about a minute)")
     load(half, parameters.precision)  # while the first band is read
     stage.note("kernels", f"numba {version('numba')}")  # it compiled them, but need not be loaded
+    geometry = known_geometry(stage, chain.from_iterable(lanes.jobs))
     check_rig(stage, rig, stage.capture.config.olat.near_light)
     pilot, lanes.pieces[0] = _pilot(lanes.pieces[0])
     check_capture(stage, pilot, rig)
@@ -78,7 +79,7 @@ def run(stage: StageRun, lanes: Lanes) -> None:
     threads = max(1, (os.cpu_count() or 1) // len(lanes.jobs))
 
     def fit_lane(jobs: list[CameraJob], pieces: Iterator[Piece]) -> None:
-        with closing(ahead(fitted(stage, pieces, rig, settings, threads))) as parts:
+        with closing(ahead(fitted(stage, pieces, rig, settings, threads, geometry))) as parts:
             for job, (_, own) in zip(jobs, groupby(parts, key=lambda part: part.piece.job.name)):
                 write_camera(stage, job, own, settings)
 
@@ -152,7 +153,12 @@ class Part:
 
 
 def fitted(
-    stage: StageRun, pieces: Iterator[Piece], rig: LightTable, settings: FitOptions, threads: int | None
+    stage: StageRun,
+    pieces: Iterator[Piece],
+    rig: LightTable,
+    settings: FitOptions,
+    threads: int | None,
+    geometry: KnownGeometry | None = None,
 ) -> Iterator[Part]:
     """Every piece, fitted in parts: one is finished and written while the next is fitted."""
     name, view = "", np.empty((0, 3))
@@ -162,7 +168,7 @@ def fitted(
         whole, own = piece.samples.band, view[piece.samples.band.pixels]
         for part in parts_of(whole, piece.job.camera.width):
             first, last = np.searchsorted(whole.pixels, (part.pixels[0], part.pixels[-1] + 1))
-            rows = fit_part(stage, piece.job, piece.samples, own, rig, settings, threads, (int(first), int(last)))
+            rows = fit_part(stage, piece.job, piece.samples, own, rig, settings, threads, (int(first), int(last)), geometry)
             if part.bottom == whole.bottom:
                 piece.samples = Samples(whole, NOTHING, NOTHING)  # what is left is to write
             yield Part(piece, part, rows)
@@ -205,7 +211,7 @@ def write_camera(stage: StageRun, job: CameraJob, parts: Iterator[Part], setting
             "specular maps will show edges there: align the frames before, or capture again with the object fixed"
         )
     stage.note(f"{job.name}.tangent_pixels", directed)
-    verdict.tell(stage, job.name)
+    verdict.tell(stage, job.name, lobe=job.passes == "both")
 
 
 def say_shift(stage: StageRun, job: CameraJob, shift: tuple[int, int]) -> None:
@@ -221,11 +227,14 @@ def say_shift(stage: StageRun, job: CameraJob, shift: tuple[int, int]) -> None:
 
 def fit_part(
     stage: StageRun, job: CameraJob, samples: Samples, view: NDArray[np.float64], rig: LightTable, settings: FitOptions,
-    threads: int | None, part: tuple[int, int],
+    threads: int | None, part: tuple[int, int], geometry: KnownGeometry | None = None,
 ) -> NDArray[np.float64]:  # fmt: skip
     """Rows [last - first, WIDTH] of a band's pixels [first, last); view [P, 3]: unit, to the camera, of all of them."""
     parameters: OlatParameters = stage.parameters
     points = nearest_points(job.camera, view) if stage.capture.config.olat.near_light else None
+    if geometry is not None:
+        samples, view, points = geometry.applied(samples, job.camera, view, rig, points, part)
+        part = (0, len(view))
     rows, _ = fit(samples.cross, samples.parallel, view, rig, settings, parameters.precision, points, threads, part)
     if parameters.solver not in ("closed", "gradient"):
         from stages.olat.zoo.paper_chain import solve_band
@@ -234,12 +243,6 @@ def fit_part(
         near = None if points is None else points[own]
         solve_band(parameters.solver, samples.cross[:, own], samples.parallel[:, own], view[own], rig, settings, rows, near)
     return rows
-
-
-def nearest_points(camera: Camera, view: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Where each ray passes the stage's centre [P, 3]: the surface's place, to within the object's size."""
-    along = view @ camera.centre
-    return camera.centre - view * along[:, None]
 
 
 def divide_by_occlusion(rows: NDArray[np.float64]) -> None:
