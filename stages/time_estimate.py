@@ -116,15 +116,16 @@ def train(capture: Capture, parameters: Any) -> Costs:
     seen = pixels / views * share  # megapixels of the object in a view
     splats = min(parameters.max_splats, 4 * seen * MEGA / parameters.splat_pixels**2)  # a ball's surface is four times its disc
     steps, tests = parameters.iterations, views / TEST_EVERY
-    shading = 2.4 * MIRRORS.get(parameters.mirror, 1.0)  # s a megapixel
-    step = 0.008 + shading * seen + 1.9e-6 * splats
+    shading = 1.6 * MIRRORS.get(parameters.mirror, 1.0)  # s a megapixel
+    step = 0.005 + shading * seen + 1.3e-6 * splats
+    lit = 2.0 + 0.15 * views + 2e-4 * splats  # splats_lit.ply
     unknown = sum(p.angle_deg is None or not p.trusted for p in capture.polarisers.values()) or 1
     starts = 4 ** min(unknown, 2)
     late = max(steps - LATE, 0)
     return {
-        ITSELF: Cost(6.0 + steps * step + views * (0.25 + 6 * seen) + 0.3 * tests, 650.0 + 100 * pixels + 3e-3 * splats),
-        "indirect": Cost(late * (0.012 + 1.0 * seen) + 1.0, 60.0),
-        "concavities": Cost(9.0 if late else 0.0, 40.0),
+        ITSELF: Cost(5.0 + lit + steps * step + views * (0.25 + 6 * seen) + 0.3 * tests, 650.0 + 100 * pixels + 3e-3 * splats),
+        "indirect": Cost(late * (0.008 + 0.7 * seen) + 1.0, 60.0),
+        "concavities": Cost(4.0 if late else 0.0, 40.0),
         "polariser_angles": Cost(1.5 + 0.012 * (60 * starts + 80 * 5 + 100 * 2), 25.0 * starts),
         "polarisation_loss": Cost(0.1 * steps * step, 24 * pixels * share),
         "start_from_points": Cost(0.5, 5.0),
