@@ -20,8 +20,14 @@ SHRINKING = 1.1  # least factor from try to try: padding does not shrink
 
 @dataclass(frozen=True)
 class Atlas:
-    """source [W]: the mesh's vertex behind each of the atlas's; faces [F, 3] of the atlas's vertices, in the mesh's order;
-    uv [W, 2] in 0..1, v from the top row down, as in glTF; width, height in texels."""
+    """A mesh cut up and laid out in a rectangle.
+
+    Fields:
+        source: the mesh's vertex behind each of the atlas's. [W]
+        faces: of the atlas's vertices, in the mesh's order. [F, 3]
+        uv: in 0..1, v from the top row down, as in glTF. [W, 2]
+        width, height: in texels.
+    """
 
     source: NDArray[np.int64]
     faces: NDArray[np.int64]
@@ -32,7 +38,13 @@ class Atlas:
 
 @dataclass(frozen=True)
 class Texels:
-    """The texels whose centres lie on the surface: index [T] into the flattened texture, triangle [T], weights [T, 3]."""
+    """The texels whose centres lie on the surface.
+
+    Fields:
+        index: into the flattened texture. [T]
+        face: triangle of the atlas. [T]
+        weights: of its corners. [T, 3]
+    """
 
     index: NDArray[np.int64]
     face: NDArray[np.int64]
@@ -48,9 +60,19 @@ class Texels:
 
 
 def unwrap(vertices: NDArray, faces: NDArray, texel: float, largest: int) -> Atlas:
-    """An atlas of vertices [V, 3] and triangles [F, 3] with texels of `texel` world units a side.
+    """Lay a mesh out in an atlas.
 
-    Larger ones where the texture would be longer than `largest` (texels). Raises UserError where it cannot be shrunk so far.
+    Args:
+        vertices: world units. [V, 3]
+        faces: triangles. [F, 3]
+        texel: a texel's side in world units; more where the texture would be longer than `largest`.
+        largest: of the texture's sides (texels).
+
+    Returns:
+        The atlas, its faces in the mesh's order.
+
+    Raises:
+        UserError: it cannot be shrunk to `largest`.
     """
     for attempt in range(TRIES):
         atlas = _packed(vertices, faces, texel, PADDING if attempt < TRIES // 2 else 1)
@@ -80,7 +102,14 @@ def _packed(vertices: NDArray, faces: NDArray, texel: float, padding: int) -> At
 
 
 def texels_of(atlas: Atlas) -> Texels:
-    """Which texels the triangles cover, and where on them they lie."""
+    """Which texels the triangles cover, and where on them they lie.
+
+    Args:
+        atlas: a mesh laid out.
+
+    Returns:
+        The texels that have a triangle, by rows.
+    """
     corners = np.ascontiguousarray((atlas.uv * (atlas.width, atlas.height))[atlas.faces])
     face = np.full(atlas.width * atlas.height, -1, np.int32)
     weights = np.zeros((len(face), 3), np.float32)

@@ -44,7 +44,12 @@ class AtlasMesh:
 
 @dataclass(frozen=True)
 class Textured(AtlasMesh):
-    """What baking makes, in world units and axes; texel: a texel's size, guessed: share of texels that no view sees."""
+    """What baking makes, in world units and axes.
+
+    Fields:
+        texel: a texel's side in world units.
+        guessed: share of texels that no view sees.
+    """
 
     texel: float
     guessed: float

@@ -31,9 +31,18 @@ def from_neighbours(values: NDArray, known: NDArray[np.bool_], position: NDArray
 def texture(
     values: NDArray, index: NDArray[np.int64], nearest: NDArray[np.int64], shape: tuple[int, int]
 ) -> NDArray[np.float32]:
-    """The texture [H, W, C] of values [T, C] at the texels `index`; all others take the nearest one's (`nearest_texel`).
+    """The texture of values at some texels; all others take the nearest one's.
 
     So neither filtering nor smaller textures mix anything into a seam.
+
+    Args:
+        values: of the texels. [T, C]
+        index: of the texels in the flattened texture. [T]
+        nearest: `nearest_texel` of them. [H * W]
+        shape: (H, W).
+
+    Returns:
+        The texture. [H, W, C]
     """
     height, width = shape
     flat = np.zeros((height * width, values.shape[1]), np.float32)
@@ -42,7 +51,15 @@ def texture(
 
 
 def nearest_texel(index: NDArray[np.int64], shape: tuple[int, int]) -> NDArray[np.int64]:
-    """For every texel of a texture [H * W] the nearest of those in `index` [T]."""
+    """For every texel of a texture the nearest of some.
+
+    Args:
+        index: of those in the flattened texture. [T]
+        shape: (H, W).
+
+    Returns:
+        Indices into the flattened texture. [H * W]
+    """
     from scipy.ndimage import distance_transform_edt
 
     height, width = shape

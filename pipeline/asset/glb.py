@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pipeline.formats.gltf import GltfParts
 from pipeline.formats.images import srgb_encode
 
+from .anisotropy import in_gltf
 from .surface import Asset
 
 LINEAR, LINEAR_MIPMAP, REPEAT = 9729, 9987, 10497
@@ -44,7 +45,8 @@ def write_glb(path: Path, asset: Asset) -> None:
 def _material(asset: Asset, parts: GltfParts) -> tuple[dict[str, Any], list[str]]:
     """The material, and the extensions that it uses."""
     m = asset.maps
-    packed = np.concatenate([m["occlusion"], m["roughness"], np.zeros_like(m["roughness"])], -1)
+    roughness, strength = in_gltf(m["roughness"], m["anisotropy"]) if "anisotropy" in m else (m["roughness"], None)
+    packed = np.concatenate([m["occlusion"], roughness, np.zeros_like(roughness)], -1)
     orm = parts.image(packed, "occlusion_roughness_metallic")
     seen = m["coverage"][..., 0] > 0
     reflectance = np.where(seen[..., None], m["specular"], np.median(m["specular"][seen]))
@@ -54,8 +56,8 @@ def _material(asset: Asset, parts: GltfParts) -> tuple[dict[str, Any], list[str]
     if float(np.ptp(reflectance)) > FLAT * most:
         share = np.repeat(srgb_encode(reflectance / most), 3, -1)
         extensions["KHR_materials_specular"] = {"specularColorTexture": {"index": parts.image(share, "specular_color")}}
-    if "anisotropy" in m:
-        direction = np.concatenate([m["anisotropy_direction"] * 0.5 + 0.5, m["anisotropy"]], -1)
+    if strength is not None:
+        direction = np.concatenate([m["anisotropy_direction"] * 0.5 + 0.5, strength], -1)
         texture = {"index": parts.image(direction, "anisotropy")}
         extensions["KHR_materials_anisotropy"] = {"anisotropyStrength": 1.0, "anisotropyTexture": texture}
     material = {

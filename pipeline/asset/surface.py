@@ -31,7 +31,7 @@ def asset_from_world(up: str, unit_m: float | None) -> NDArray[np.float64]:
 
 
 def in_metres(surface: Textured, up: str, unit_m: float | None) -> Asset:
-    """The surface as its files hold it. `base_color` is albedo times the share of light that enters the body.
+    """The surface as files hold it. `base_color`, if there is none, is albedo times the share of light that enters the body.
 
     Renderers let light out of the body as 1 - (mirrored share); ours also let it in (`shade`), which over a constant sky is
     `hemispherical_transmittance`: a tenth less at an index of 1.5.
@@ -39,8 +39,10 @@ def in_metres(surface: Textured, up: str, unit_m: float | None) -> Asset:
     matrix = asset_from_world(up, unit_m)
     turn = Y_UP_FROM[up]
     seen = surface.maps["coverage"][..., 0] > 0
-    entering = hemispherical_transmittance(surface.maps["ior"].astype(np.float64))
-    maps = {**surface.maps, "base_color": (surface.maps["albedo"] * entering).astype(np.float32)}
+    maps = dict(surface.maps)
+    if "base_color" not in maps:
+        entering = hemispherical_transmittance(maps["ior"].astype(np.float64))
+        maps["base_color"] = (maps["albedo"] * entering).astype(np.float32)
     tangent = np.concatenate([surface.tangent[:, :3] @ turn.T, surface.tangent[:, 3:]], 1)
     return Asset(
         surface.position @ matrix[:3, :3].T, surface.normal @ turn.T, tangent, surface.faces, surface.uv, maps,

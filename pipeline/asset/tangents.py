@@ -9,10 +9,16 @@ from .atlas import Atlas
 
 
 def vertex_tangents(positions: NDArray, normals: NDArray, atlas: Atlas) -> NDArray[np.float64]:
-    """Tangents [W, 4] as glTF stores them: the direction in which u grows, unit, across the normal; and the sign that makes
-    sign * (normal x tangent) the direction in which the picture's rows go up.
+    """Tangents as glTF stores them: means of the triangles by their angle at the vertex, as MikkTSpace's.
 
-    positions, normals [W, 3]: of the atlas's vertices. Means of the triangles by their angle at the vertex, as MikkTSpace's.
+    Args:
+        positions: of the atlas's vertices. [W, 3]
+        normals: unit. [W, 3]
+        atlas: the mesh laid out.
+
+    Returns:
+        The direction in which u grows, unit, across the normal; and the sign that makes sign * (normal x tangent) the direction
+        in which the picture's rows go up. [W, 4]
     """
     corners, at = positions[atlas.faces], atlas.uv[atlas.faces] * (atlas.width, -atlas.height)
     along_a, along_b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
@@ -39,7 +45,16 @@ def vertex_tangents(positions: NDArray, normals: NDArray, atlas: Atlas) -> NDArr
 
 
 def in_tangent_frame(world: NDArray, normal: NDArray, tangent: NDArray) -> NDArray[np.float32]:
-    """World vectors [T, 3] by their parts along tangent, bitangent and normal. normal [T, 3], tangent [T, 4]: interpolated."""
+    """World vectors by their parts along tangent, bitangent and normal.
+
+    Args:
+        world: vectors. [T, 3]
+        normal: interpolated, of any length. [T, 3]
+        tangent: interpolated, `vertex_tangents`. [T, 4]
+
+    Returns:
+        The parts. [T, 3]
+    """
     n = _unit(normal)
     t = _unit(tangent[:, :3] - n * (tangent[:, :3] * n).sum(1, keepdims=True))
     b = np.cross(n, t) * np.where(tangent[:, 3:] < 0, -1.0, 1.0)

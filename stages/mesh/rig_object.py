@@ -7,52 +7,67 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.asset.ambient import sky_seen
 from pipeline.engine.stage import StageRun
 from pipeline.errors import UserError
 from pipeline.formats import dataset_files as files
 from pipeline.formats.images import srgb_encode
 from pipeline.formats.ply import write_ply
+from pipeline.geometry.cameras import Camera
 from pipeline.geometry.rays import RayMesh
 from pipeline.rig.object_rendering import LOBE
 
-from .clean import Mesh, in_fixed_order, largest_pieces, without_slivers
+from .clean import Mesh, in_fixed_order, largest_pieces, subdivided, without_slivers
 from .refine import following_normals
+from .rig_surface.atlas_maps import STANDARD_DEVIATIONS, write_rig_asset
 from .rig_surface.depths import find_depths
 from .rig_surface.disagreement import disagreement, write_disagreement
-from .rig_surface.light_reach import occlusion
-from .rig_surface.map_view import MapView
 from .rig_surface.read_maps import Rig
+from .rig_surface.sights import Sight, Sights
 from .rig_surface.surface import believed, chords, extracted, fused_volume, hull_of, silhouettes_of
-from .rig_surface.vertex_maps import camera_values, filled, fused_maps
+from .rig_surface.unseen import smoothed_where_unseen
+from .rig_surface.vertex_maps import SurfacePoints, camera_values, filled, fused_maps
 
 HULL = 128  # voxels along the longest side of the hull: it bounds the search, the surface is finer
 SLACK = 1.5  # pixel footprints by which depths of one surface differ between cameras
 SEEN_WITHIN = 3.0  # voxels: what a camera sees beyond that is another surface
+MOST_TRIANGLES = 1_000_000  # beyond it textures alone hold the detail
 TRUNCATION = 3.0  # voxels: depths agree to a fraction of one, and what is farther behind a surface is another part
 
 
 def make_rig_mesh(run: StageRun) -> None:
-    """Find the surface, fuse the maps on it, write mesh.ply and how far the cameras disagree. Raises UserError."""
-    rig = Rig(run)
+    """Find the surface, fuse the maps on it, write mesh.ply, asset/ and how far the cameras disagree. Raises UserError."""
+    rig, p = Rig(run), run.parameters
     mesh, voxel = find_surface(run, rig)
-    if run.parameters.follow_normals:
-        mesh = following_normals(with_maps(mesh, rig, voxel), run.parameters.follow_normals)
-    mesh = with_maps(in_fixed_order(Mesh(mesh.vertices, mesh.faces)), rig, voxel)
-    mesh.attributes["occlusion"] = occlusion(mesh, mesh.normals())
-    comments = [LOBE + rig.lobe]
-    write_ply(run.output / files.MESH, vertex_table(mesh), mesh.faces, comments=comments)
-    solid = RayMesh(mesh.vertices, mesh.faces)
-    for maps in rig:
-        images = disagreement(maps, mesh, solid)
-        write_disagreement(run.output / files.DISAGREEMENT / f"{maps.name}.exr", images, maps)
-        for name, image in images.items():
-            if (image > 0).any():
-                run.note(f"{maps.name}.disagreement_{name}", round(float(np.median(image[image > 0])), 4))
+    slack = SEEN_WITHIN * voxel
+    for finer in (False, True):  # every pixel's normal is measured: half a pixel between vertices carries it without blur
+        mesh = subdivided(mesh) if finer and 4 * len(mesh.faces) <= MOST_TRIANGLES else mesh
+        mesh = smoothed_where_unseen(with_maps(mesh, Sights(rig, mesh), slack))
+        mesh = following_normals(mesh, p.follow_normals) if p.follow_normals else mesh
+    mesh = in_fixed_order(Mesh(mesh.vertices, mesh.faces))
+    sights = Sights(rig, mesh)
+    mesh = with_maps(mesh, sights, slack)
+    mesh.attributes["occlusion"] = sky_seen(sights.solid, mesh.vertices, mesh.normals(), voxel)
+    write_ply(run.output / files.MESH, vertex_table(mesh), mesh.faces, comments=[LOBE + rig.lobe])
+    for sight in sights:
+        _tell_disagreement(run, sight, mesh, sights.solid)
     run.note("lobe", rig.lobe)
     run.note("voxel", voxel)
     run.note("size", float(np.ptp(mesh.vertices, axis=0).max()))
     run.note("triangles", len(mesh.faces))
     run.note("vertices_seen", round(float((mesh.attributes["coverage"] > 0).mean()), 4))
+    if p.textures:
+        finest = footprint([sight.maps.camera for sight in sights], mesh.vertices.mean(0))
+        write_rig_asset(run, mesh, sights, slack, finest, rig.lobe)
+
+
+def _tell_disagreement(run: StageRun, sight: Sight, mesh: Mesh, solid: RayMesh) -> None:
+    maps = sight.maps
+    images = disagreement(maps, mesh, solid)
+    write_disagreement(run.output / files.DISAGREEMENT / f"{maps.name}.exr", images, maps)
+    for name, image in images.items():
+        if (image > 0).any():
+            run.note(f"{maps.name}.disagreement_{name}", round(float(np.median(image[image > 0])), 4))
 
 
 def find_surface(run: StageRun, rig: Rig) -> tuple[Mesh, float]:
@@ -63,7 +78,7 @@ def find_surface(run: StageRun, rig: Rig) -> tuple[Mesh, float]:
         raise UserError(run.inputs["olat"], f"no pixel of {', '.join(empty)} has a normal", "look at its preview.png")
     hull = hull_of(silhouettes_of(views), HULL)
     low, high = hull.box()
-    foot = footprint(views, 0.5 * (low + high))
+    foot = footprint([view.camera for view in views], 0.5 * (low + high))
     voxel = max(p.voxel_px * foot, float((high - low).max()) / p.max_voxels)
     spans = [chords(view, hull) for view in views]
     run.progress.say("mesh: looking for the surface on which the cameras' normals agree")
@@ -75,17 +90,16 @@ def find_surface(run: StageRun, rig: Rig) -> tuple[Mesh, float]:
     return in_fixed_order(mesh), voxel
 
 
-def footprint(views: Sequence[MapView], centre: NDArray) -> float:
+def footprint(cameras: Sequence[Camera], centre: NDArray) -> float:
     """A pixel's usual width at the object (world units)."""
-    return float(np.median([np.linalg.norm(v.camera.centre - centre) / np.sqrt(v.camera.fx * v.camera.fy) for v in views]))
+    return float(np.median([np.linalg.norm(c.centre - centre) / np.sqrt(c.fx * c.fy) for c in cameras]))
 
 
-def with_maps(mesh: Mesh, rig: Rig, voxel: float) -> Mesh:
-    """The mesh with all cameras' maps fused on its vertices."""
-    solid = RayMesh(mesh.vertices, mesh.faces)
-    geometric = mesh.normals()
-    found = fused_maps((camera_values(maps, mesh, solid, SEEN_WITHIN * voxel) for maps in rig), geometric)
-    return Mesh(mesh.vertices, mesh.faces, filled(mesh, found, geometric))
+def with_maps(mesh: Mesh, sights: Sights, slack: float) -> Mesh:
+    """The mesh with all cameras' maps fused on its vertices; what is seen over `slack` (world units) off is another one."""
+    points = SurfacePoints(mesh.vertices, mesh.normals())
+    found = fused_maps((camera_values(sight, points, slack) for sight in sights), points.normal)
+    return Mesh(mesh.vertices, mesh.faces, filled(points.position, found, points.normal))
 
 
 def vertex_table(mesh: Mesh) -> dict[str, NDArray]:
@@ -104,6 +118,3 @@ def vertex_table(mesh: Mesh) -> dict[str, NDArray]:
     colour = (srgb_encode(a["albedo"]) * 255 + 0.5).astype(np.uint8)
     numbers = {name: np.asarray(values, np.float32) for name, values in columns.items()}
     return {**numbers, **dict(zip(("red", "green", "blue"), colour.T))}
-
-
-STANDARD_DEVIATIONS = ("std_diffuse_normal", "std_diffuse_albedo", "std_specular_albedo", "std_sigma")

@@ -9,19 +9,20 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass
 from importlib.metadata import version
-from itertools import groupby
+from itertools import chain, groupby
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.engine.stage import StageRun
+from pipeline.errors import UserError
 from pipeline.formats.dataset_files import FITTED_LOBE
-from pipeline.geometry.cameras import Camera
 from pipeline.rig.light_table import LightTable
 from pipeline.rig.lobe_names import LOBES
 from stages.olat.evidence.after_fits import Verdict
 from stages.olat.evidence.before_fits import check_capture, check_rig
+from stages.olat.known_geometry import KnownGeometry, known_geometry, nearest_points
 from stages.olat.maps.footprint import with_neighbours
 from stages.olat.maps.map_files import MapWriter
 from stages.olat.maps.preview import write_preview
@@ -39,7 +40,7 @@ from stages.olat.reading.stream import Lanes, Piece
 PRIOR = (1 / np.radians(0.5)) ** 2  # n_s and n_d of one surface agree to about half a degree
 WIDTHS = {**dict.fromkeys(LOBES, "Beckmann/Ward widths"), "ggx": "GGX widths (alpha)"}  # what `sigma` is, for maps.json
 GAIN = 0.9
-MIXED = 1.0
+MIXED = 20.1  # one chance in a hundred, of eight parameters more
 LEAST_LIGHT = 0.05
 NOTHING = np.empty((0, 0, 3), np.uint16)
 TOLERANCE = {"float32": 3e-6, "float64": 1e-12}
@@ -58,11 +59,14 @@ def run(stage: StageRun, lanes: Lanes) -> None:
     stage.note("lights", {"used": len(rig), "of": len(index["lights"]["directions"])})
     settings = settings_of(parameters, stage.capture.config.olat, float(level) if bound and level is not None else np.inf)
     settings = settings._replace(one_pass=PASSES[lanes.jobs[0][0].passes])  # all cameras have the same
+    if parameters.solver not in ("closed", "gradient") and settings.one_pass != PASSES["both"]:
+        raise UserError(f"olat.solver={parameters.solver}", "needs crossed and parallel frames", "take olat.solver=closed")
     half = lanes.jobs[0][0].half
     if not ready(half, parameters.precision):
         stage.progress.say("compiling the fits for this machine (once; about a minute)")
     load(half, parameters.precision)  # while the first band is read
     stage.note("kernels", f"numba {version('numba')}")  # it compiled them, but need not be loaded
+    geometry = known_geometry(stage, chain.from_iterable(lanes.jobs))
     check_rig(stage, rig, stage.capture.config.olat.near_light)
     pilot, lanes.pieces[0] = _pilot(lanes.pieces[0])
     check_capture(stage, pilot, rig)
@@ -75,7 +79,7 @@ def run(stage: StageRun, lanes: Lanes) -> None:
     threads = max(1, (os.cpu_count() or 1) // len(lanes.jobs))
 
     def fit_lane(jobs: list[CameraJob], pieces: Iterator[Piece]) -> None:
-        with closing(ahead(fitted(stage, pieces, rig, settings, threads))) as parts:
+        with closing(ahead(fitted(stage, pieces, rig, settings, threads, geometry))) as parts:
             for job, (_, own) in zip(jobs, groupby(parts, key=lambda part: part.piece.job.name)):
                 write_camera(stage, job, own, settings)
 
@@ -111,13 +115,14 @@ def settings_of(parameters: OlatParameters, config: Any, saturation: float) -> F
         specular_fit=SPECULAR_FITS[parameters.specular_fit], fuse_correlation=parameters.fusion == "correlation",
         printed_maps=parameters.maps == "printed", remove=parameters.overexposure == "remove",
         gradient=parameters.solver == "gradient", one_pass=PASSES["both"],
+        gap=parameters.overexposure_gap, removals=parameters.overexposure_rounds,
     )  # fmt: skip
 
 
 def choose_lobe(stage: StageRun, pilot: list[Piece], rig: LightTable, settings: FitOptions) -> FitOptions:
     """Where the lobe is `auto`: the one of `CANDIDATES` that leaves the smallest residual on most of the pilot's pixels."""
     parameters: OlatParameters = stage.parameters
-    if parameters.lobe != "auto" or settings.gradient:
+    if parameters.lobe != "auto" or parameters.solver != "closed":  # the other solvers are written for Ward's
         return settings
     camera, parts = pilot[0].job.camera, [piece.samples for piece in pilot]
     steps = [max(1, len(part.band.pixels) * len(parts) // PILOT) for part in parts]
@@ -148,7 +153,12 @@ class Part:
 
 
 def fitted(
-    stage: StageRun, pieces: Iterator[Piece], rig: LightTable, settings: FitOptions, threads: int | None
+    stage: StageRun,
+    pieces: Iterator[Piece],
+    rig: LightTable,
+    settings: FitOptions,
+    threads: int | None,
+    geometry: KnownGeometry | None = None,
 ) -> Iterator[Part]:
     """Every piece, fitted in parts: one is finished and written while the next is fitted."""
     name, view = "", np.empty((0, 3))
@@ -158,7 +168,7 @@ def fitted(
         whole, own = piece.samples.band, view[piece.samples.band.pixels]
         for part in parts_of(whole, piece.job.camera.width):
             first, last = np.searchsorted(whole.pixels, (part.pixels[0], part.pixels[-1] + 1))
-            rows = fit_part(stage, piece.job, piece.samples, own, rig, settings, threads, (int(first), int(last)))
+            rows = fit_part(stage, piece.job, piece.samples, own, rig, settings, threads, (int(first), int(last)), geometry)
             if part.bottom == whole.bottom:
                 piece.samples = Samples(whole, NOTHING, NOTHING)  # what is left is to write
             yield Part(piece, part, rows)
@@ -168,10 +178,11 @@ def write_camera(stage: StageRun, job: CameraJob, parts: Iterator[Part], setting
     """Finish and write the maps of one camera from its parts."""
     parameters: OlatParameters = stage.parameters
     surface, verdict, directed = parameters.widths == "surface", Verdict(), 0
+    asked = ("removed",) if settings.remove else ()
     misregistration: Misregistration | None = None
     with (
         stage.progress.bar(f"fitting {job.name}", int(job.mask.sum()), "px") as bar,
-        MapWriter(stage.output / job.name, job.camera.width, job.camera.height) as writer,
+        MapWriter(stage.output / job.name, job.camera.width, job.camera.height, asked) as writer,
     ):
 
         def found() -> Iterator[tuple[Band, NDArray[np.float64]]]:
@@ -200,7 +211,7 @@ def write_camera(stage: StageRun, job: CameraJob, parts: Iterator[Part], setting
             "specular maps will show edges there: align the frames before, or capture again with the object fixed"
         )
     stage.note(f"{job.name}.tangent_pixels", directed)
-    verdict.tell(stage, job.name)
+    verdict.tell(stage, job.name, lobe=job.passes == "both")
 
 
 def say_shift(stage: StageRun, job: CameraJob, shift: tuple[int, int]) -> None:
@@ -216,24 +227,22 @@ def say_shift(stage: StageRun, job: CameraJob, shift: tuple[int, int]) -> None:
 
 def fit_part(
     stage: StageRun, job: CameraJob, samples: Samples, view: NDArray[np.float64], rig: LightTable, settings: FitOptions,
-    threads: int | None, part: tuple[int, int],
+    threads: int | None, part: tuple[int, int], geometry: KnownGeometry | None = None,
 ) -> NDArray[np.float64]:  # fmt: skip
     """Rows [last - first, WIDTH] of a band's pixels [first, last); view [P, 3]: unit, to the camera, of all of them."""
     parameters: OlatParameters = stage.parameters
     points = nearest_points(job.camera, view) if stage.capture.config.olat.near_light else None
+    if geometry is not None:
+        samples, view, points = geometry.applied(samples, job.camera, view, rig, points, part)
+        part = (0, len(view))
     rows, _ = fit(samples.cross, samples.parallel, view, rig, settings, parameters.precision, points, threads, part)
     if parameters.solver not in ("closed", "gradient"):
         from stages.olat.zoo.paper_chain import solve_band
 
         own = slice(*part)
-        solve_band(parameters.solver, samples.cross[:, own], samples.parallel[:, own], view[own], rig, settings, rows)
+        near = None if points is None else points[own]
+        solve_band(parameters.solver, samples.cross[:, own], samples.parallel[:, own], view[own], rig, settings, rows, near)
     return rows
-
-
-def nearest_points(camera: Camera, view: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Where each ray passes the stage's centre [P, 3]: the surface's place, to within the object's size."""
-    along = view @ camera.centre
-    return camera.centre - view * along[:, None]
 
 
 def divide_by_occlusion(rows: NDArray[np.float64]) -> None:

@@ -41,6 +41,14 @@ def capture_files(capture: Capture) -> Iterable[Path]:
     return [path for camera in stage.cameras.values() for path in camera.frames]
 
 
+def given_files(capture: Capture, parameters: OlatParameters) -> tuple[Path, ...]:
+    """The mesh that `geometry` names, if any. Raises UserError where it is none."""
+    from stages.olat.known_geometry import geometry_file
+
+    found = geometry_file(capture, parameters.geometry) if parameters.geometry else None
+    return () if found is None else (found,)
+
+
 def memory(capture: Capture, parameters: OlatParameters, jobs: int) -> float:
     """MiB at its peak."""
     return memory_estimate.olat(capture, parameters, jobs, _compiled(capture, parameters))
@@ -84,6 +92,7 @@ STAGE = Stage(
     run=run,
     capture_files=capture_files,
     config=("olat", "radiometry"),
+    given_files=given_files,
     memory=memory,
     costs=costs,
     parallel=0.8,

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.capture.named_file import named_file
 from pipeline.capture.naming.safe_names import environment_name
 from pipeline.engine.stage import StageRun
 from pipeline.formats import dataset_files as files
@@ -16,7 +17,6 @@ from pipeline.geometry.cameras import Camera, camera_from_frame
 from pipeline.rig.relighting import relight_frames, relight_maps, relighting_error
 
 from .environment_map import read_map
-from .given_files import given_file
 from .light_samples import as_map
 from .lights_file import read_lights
 
@@ -31,7 +31,7 @@ def relight_stage(run: StageRun) -> None:
     config = run.capture.config.olat
     names = sorted(index["cameras"])
     lights = {environment_name(path): _light(run, path) for path in run.environments}
-    if (placed := given_file(run.capture, run.parameters.lights, "relight.lights")) is not None:
+    if (placed := named_file(run.capture, run.parameters.lights, "relight.lights")) is not None:
         lights[environment_name(placed)] = as_map(read_lights(placed), np.zeros(3), run.capture.up)
     with run.progress.bar("relighting", total=len(lights) * len(names), unit="images") as bar:
         for name in names:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from pipeline.capture import Capture
+from pipeline.capture.named_file import named_file
 from pipeline.capture.naming.safe_names import environment_name
 from pipeline.errors import UserError
 
@@ -13,25 +14,12 @@ from .lights_file import read_lights
 from .parameters import RelightParameters
 
 
-def given_file(capture: Capture, name: str, key: str) -> Path | None:
-    """The file called `name`: in the capture's folder, else where the command runs; None where none is given.
-
-    key: the parameter that names it. Raises UserError.
-    """
-    if not name:
-        return None
-    for path in (capture.root / name, Path(name)):
-        if path.is_file():
-            return path
-    raise UserError(name, "no such file, in the capture's folder or here", f"check {key}=")
-
-
 def given_files(capture: Capture, parameters: RelightParameters) -> tuple[Path, ...]:
     """The files that the parameters name, each read once to see that it is right. Raises UserError."""
-    cameras = given_file(capture, parameters.cameras, "relight.cameras")
+    cameras = named_file(capture, parameters.cameras, "relight.cameras")
     if cameras is not None:
         read_camera_path(cameras)
-    lights = given_file(capture, parameters.lights, "relight.lights")
+    lights = named_file(capture, parameters.lights, "relight.lights")
     if lights is not None:
         read_lights(lights)
         if environment_name(lights) in map(environment_name, capture.environments):

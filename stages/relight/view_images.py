@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from pipeline.capture.named_file import named_file
 from pipeline.capture.naming.safe_names import environment_name
 from pipeline.engine.stage import StageRun
 from pipeline.errors import UserError
@@ -15,7 +16,6 @@ from pipeline.geometry.cameras import load_cameras, world_offset
 
 from .deferred import Lamp, ShadingModel, Surface
 from .environment_map import read_map
-from .given_files import given_file
 from .indirect import Indirect, indirect_light, traced
 from .lighting import Lighting, MapLighting
 from .lights_file import moved, read_lights
@@ -40,7 +40,7 @@ def relight_views(run: StageRun) -> None:
     model = ShadingModel.read(train / files.LIGHTING, run.capture.up, p.mirror)
     occluder = indirect_light(run, model)
     lights: dict[str, Lighting] = {environment_name(q): MapLighting(_lamp(run, q, model), occluder) for q in run.environments}
-    if (placed := given_file(run.capture, p.lights, "relight.lights")) is not None:
+    if (placed := named_file(run.capture, p.lights, "relight.lights")) is not None:
         standing = moved(read_lights(placed), world_offset(run.inputs["poses"] / files.CAMERAS))
         lights[environment_name(placed)] = PlacedLighting(standing, model, traced(run, model, occluder))
     masks = run.inputs.get("masks")
@@ -56,7 +56,7 @@ def relight_views(run: StageRun) -> None:
                 if p.previews:
                     write_png(run.output / name / f"{view}.png", srgb_encode(image[:, :, 0]))
                 bar.advance(1)
-    write_moving_pictures(run, cameras, lights, mesh, given_file(run.capture, p.cameras, "relight.cameras"))
+    write_moving_pictures(run, cameras, lights, mesh, named_file(run.capture, p.cameras, "relight.cameras"))
 
 
 class Ties:

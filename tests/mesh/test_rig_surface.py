@@ -9,18 +9,23 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from pipeline.asset.anisotropy import in_gltf
+from pipeline.capture.config import CaptureConfig
 from pipeline.engine.progress import Progress
 from pipeline.engine.stage import StageRun
 from pipeline.errors import UserError
-from pipeline.formats.images import write_exr, write_png
+from pipeline.formats.images import read_image, write_exr, write_png
 from pipeline.formats.ply import Ply
 from pipeline.geometry.cameras import Camera, camera_from_opengl, frame_of
 from pipeline.rig.object_rendering import RigObject
+from stages.mesh.clean import Mesh, subdivided
 from stages.mesh.parameters import MeshParameters
 from stages.mesh.rig_object import make_rig_mesh
 from stages.mesh.rig_surface.depths import find_depths
 from stages.mesh.rig_surface.map_view import MapView
+from stages.mesh.rig_surface.sights import square_slopes
 from stages.mesh.rig_surface.surface import chords, hull_of, inscribed_radii, silhouettes_of
+from stages.mesh.rig_surface.unseen import smoothed_where_unseen
 from stages.mesh.rig_surface.vertex_maps import CameraValues, fused_maps
 from synth.orbit import look_at
 
@@ -120,6 +125,38 @@ def test_the_fused_standard_deviation_is_that_of_the_mean():
     assert noise / 1.5 < spread < 1.5 * noise
 
 
+def test_a_camera_whose_pixels_blur_the_detail_counts_less():
+    """Slopes between neighbours are what a pixel hides: the steeper of two noiseless maps is the less certain."""
+    known = np.ones((6, 8), bool)
+    ramp = np.arange(8, dtype=np.float32)[None, :, None] * np.ones((6, 1, 2), np.float32)
+    assert np.allclose(square_slopes(0.1 * ramp, known), 2 * 0.01)
+    known[:, 4] = False  # differences to what is not known are none
+    assert square_slopes(np.where(known[..., None], ramp, 100), known)[2, 3] == pytest.approx(2)
+
+
+def test_widths_in_gltf_are_the_fitted_ones():
+    large, small = np.float32(0.4), np.float32(0.1)
+    roughness, strength = in_gltf(np.array([(large * small) ** 0.25]), np.array([1 - small / large]))
+    across = roughness[0] ** 2
+    assert across == pytest.approx(small) and across + (1 - across) * strength[0] ** 2 == pytest.approx(large)
+
+
+def test_what_no_camera_sees_is_smooth_and_what_one_sees_stays():
+    rows, columns = (a.ravel() for a in np.indices((30, 30)))
+    rng = np.random.default_rng(0)
+    middle = (np.abs(rows - 15) < 8) & (np.abs(columns - 15) < 8)
+    height = np.where(middle, rng.normal(size=900), 0.01 * rng.normal(size=900))
+    at = (rows[:, None] * 30 + columns[:, None])[(rows < 29) & (columns < 29)]
+    faces = np.concatenate([np.concatenate([at, at + 1, at + 30], 1), np.concatenate([at + 1, at + 31, at + 30], 1)])
+    flat = np.stack([columns, -rows, height], -1).astype(float)
+    attributes = {"coverage": np.where(middle, 0, 2), "normal": np.tile([0.0, 0, 1], (900, 1))}
+    found = smoothed_where_unseen(Mesh(flat, faces, attributes))
+    np.testing.assert_array_equal(found.vertices[~middle], flat[~middle])
+    assert found.vertices[middle, 2].std() < 0.2 and np.median(found.attributes["normal"][middle, 2] ** 2) > 0.9
+    finer = subdivided(Mesh(flat, faces))
+    assert len(finer.faces) == 4 * len(faces) and finer.area().sum() == pytest.approx(Mesh(flat, faces).area().sum())
+
+
 def written_stage(root, balls: list[Ball]) -> StageRun:
     """The decode and olat stages' folders of a light stage that shows the ball, and a run of the mesh stage over them."""
     cameras = {}
@@ -145,7 +182,7 @@ def written_stage(root, balls: list[Ball]) -> StageRun:
     (root / "decode" / "olat.json").write_text(json.dumps({"cameras": cameras}))
     (root / "olat" / "maps.json").write_text(json.dumps({"lobe": "beckmann"}))
     inputs = {name: root / name for name in ("decode", "masks", "olat")}
-    capture = SimpleNamespace(root=root, kind="light_stage")
+    capture = SimpleNamespace(root=root, kind="light_stage", up="y", config=CaptureConfig())
     output = root / "mesh"
     output.mkdir()
     return StageRun(capture, MeshParameters(), inputs, output, root, progress=Progress(quiet=True))
@@ -170,6 +207,15 @@ def test_a_light_stage_becomes_one_mesh_with_its_maps(tmp_path):
     occlusion = ply.vertices(("occlusion",))[seen, 0]
     assert occlusion.min() > 0.9  # nothing shades a ball
     assert run.facts["cam00.disagreement_normal_deg"] < 1
+    textures = run.output / "asset" / "textures"
+    on = read_image(textures / "coverage.exr")[..., 0] == 1
+    for name, value in {"albedo": ALBEDO, "specular": SPECULAR, "sigma_x": SIGMA, "sigma_y": SIGMA, "roughness": SIGMA**0.5,
+                        "std_diffuse_albedo": 0.01, "anisotropy": 0, "tangent": 0}.items():  # fmt: skip
+        assert np.allclose(np.median(read_image(textures / f"{name}.exr")[on], 0), value, rtol=0.02, atol=0.005), name
+    upright = read_image(textures / "normal.exr")[on]  # a ball's own normals leave its normal map flat
+    assert np.median(upright[:, 2]) > np.cos(np.radians(1)) and (textures / "std_sigma.png").is_file()
+    facts = json.loads((run.output / "asset" / "asset.json").read_text())
+    assert facts["lobe"] == "beckmann" and facts["textures"]["tangent"] and (run.output / "asset" / "asset.glb").is_file()
     camera = ball_views(radius, 48)[1].camera
     image = RigObject(run.output / "mesh.ply").render(camera, np.array([[0.0, 0, 1]]), np.ones((1, 3)))
     assert 0.1 < image[24, 24, 0] < 1 and not image[0, 0].any()

@@ -233,6 +233,10 @@ def test_maps_that_are_mostly_flagged_are_reported(flag, words):
     verdict.add(rows)
     verdict.tell(stage, "cam00")
     assert len(stage.lines) == 1 and words in stage.lines[0]
+    stage.lines.clear()
+    verdict.tell(stage, "cam00", lobe=False)  # of one pass nobody asks a lobe
+    assert bool(stage.lines) == (flag == AWAY)
+    stage.lines.clear()
     rows[:60, FLAG], rows[:, RESIDUAL] = 0, 0.7
     verdict = Verdict()
     verdict.add(rows)

@@ -108,3 +108,14 @@ def test_the_command_writes_a_table_that_the_reader_takes(tmp_path, capsys):
     assert np.degrees(np.arccos(np.clip((table.directions * true).sum(1), -1, 1))).max() < 1
     np.testing.assert_allclose(table.colour, np.tile([0.5, 1.0, 0.8], (5, 1)) / np.mean([0.5, 1.0, 0.8]), rtol=0.01)
     assert main([str(tmp_path / "frames"), "--mask", str(tmp_path / "none.png")]) == 2
+    assert main([str(tmp_path / "frames"), "--kind", "matte", "-o", str(out)]) == 0  # the ball found by itself
+    assert "ball: centre (60." in capsys.readouterr().out
+    again = read_lights_csv(out)
+    assert np.degrees(np.arccos(np.clip((again.directions * true).sum(1), -1, 1))).max() < 1
+
+
+def test_a_ball_that_is_not_there_is_asked_for(tmp_path, capsys):
+    for k in range(3):
+        write_rgb(tmp_path / f"{k:03d}.exr", np.random.default_rng(k).uniform(size=(64, 64, 3)).astype(np.float32))
+    assert main([str(tmp_path), "-o", str(tmp_path / "out.csv")]) == 2
+    assert "give --mask" in capsys.readouterr().err and not (tmp_path / "out.csv").exists()

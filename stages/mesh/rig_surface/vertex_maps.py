@@ -1,4 +1,4 @@
-"""All cameras' maps on the vertices: fused by inverse variance, with what the cameras disagree about."""
+"""All cameras' maps on points of the surface: fused by inverse variance, with what the cameras disagree about."""
 
 from __future__ import annotations
 
@@ -8,11 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.geometry.rays import RayMesh
-
-from ..clean import Mesh
 from .map_view import inside_frame, sampled
-from .read_maps import RigMaps
+from .sights import Sight
 
 Float = NDArray[np.float64]
 LEAST_FACING = 0.2  # cosine below which a camera's pixel is a smear of the surface
@@ -26,11 +23,20 @@ NORMAL, ALBEDO, SPECULAR, SIGMA, TANGENT = (
     slice(0, 3), slice(3, 6), slice(6, 7), slice(7, 9), slice(9, 12)
 )  # of a camera's values of a vertex  # fmt: skip
 WIDTH = 12
+BOX = 1.0 / 12.0  # variance of a place in a pixel, in squared pixels: what a pixel's mean hides of a slope
+
+
+@dataclass(frozen=True)
+class SurfacePoints:
+    """Points of the surface: position [V, 3] and outward unit normal of the mesh [V, 3], world."""
+
+    position: Float
+    normal: Float
 
 
 @dataclass(frozen=True)
 class CameraValues:
-    """What one camera says of V vertices: values [V, 12] (normal, diffuse albedo, specular albedo, widths, tangent), variances
+    """What one camera says of V points: values [V, 12] (normal, diffuse albedo, specular albedo, widths, tangent), variances
     [V, 4] of the normal's angle (rad²), a diffuse albedo, the logarithms of specular albedo and a width; weights [V, 2] of
     the surface and the lobe (0: not seen)."""
 
@@ -39,16 +45,17 @@ class CameraValues:
     weight: NDArray[np.float32]
 
 
-def camera_values(maps: RigMaps, mesh: Mesh, solid: RayMesh, slack: float) -> CameraValues:
-    """What a camera's maps hold where it sees the vertices, none of the four pixels about which may be on another surface."""
-    camera, vertices = maps.camera, mesh.vertices
-    pixels, away = maps.view().project(vertices)
-    rays = camera.rays()
-    surface = solid.distance(camera.centre, rays)
-    towards = (camera.centre - vertices) / away[:, None]
-    facing = (towards * mesh.normals()).sum(1)
-    seen = inside_frame(pixels, camera.width, camera.height) & (facing > LEAST_FACING)
-    at = np.flatnonzero(seen)
+def camera_values(sight: Sight, points: SurfacePoints, slack: float) -> CameraValues:
+    """What a camera's maps hold where it sees the points, none of the four pixels about which may be on another surface.
+
+    A map's variance is its noise, and what its pixels do not resolve: a camera that sees the surface squarely and closely blurs
+    it least, and counts most where there is detail.
+    """
+    maps, camera = sight.maps, sight.maps.camera
+    pixels, away = maps.view().project(points.position)
+    towards = (camera.centre - points.position) / away[:, None]
+    facing = (towards * points.normal).sum(1)
+    at = np.flatnonzero(inside_frame(pixels, camera.width, camera.height) & (facing > LEAST_FACING))
     own, far = pixels[at], away[at]
     corner = np.floor(own).astype(np.int64)
     tolerance = slack / np.maximum(facing[at], LEAST_FACING)
@@ -57,25 +64,35 @@ def camera_values(maps: RigMaps, mesh: Mesh, solid: RayMesh, slack: float) -> Ca
     for down, right in ((0, 0), (0, 1), (1, 0), (1, 1)):
         row, column = np.minimum(corner[:, 1] + down, camera.height - 1), np.minimum(corner[:, 0] + right, camera.width - 1)
         with np.errstate(invalid="ignore"):
-            near &= np.abs(surface[row, column] - far) < tolerance
+            near &= np.abs(sight.surface[row, column] - far) < tolerance
         shown["surface"] &= maps.sound[row, column]
         shown["lobe"] &= maps.lobed[row, column]
     names = ("normal", "diffuse_albedo", "specular_albedo", "sigma", "tangent")
     found = np.concatenate([sampled(maps.maps[n].astype(np.float64), own) for n in names], -1)
-    std = {n: sampled(maps.maps[f"std_{n}"].astype(np.float64), own)[:, 0] for n in
-           ("diffuse_normal", "diffuse_albedo", "specular_albedo", "sigma")}  # fmt: skip
-    values, variance, weight = (np.zeros((len(vertices), n), np.float32) for n in (WIDTH, 4, 2))
-    values[at] = found
-    grey = np.maximum(found[:, ALBEDO].mean(1), 1e-6)
-    bright, wide = np.maximum(found[:, SPECULAR][:, 0], 1e-6), np.maximum(found[:, SIGMA].mean(1), 1e-6)
-    variance[at] = np.stack([
-        np.radians(1) ** 2 * (std["diffuse_normal"] ** 2 + NORMAL_FLOOR**2),
-        std["diffuse_albedo"] ** 2 + (ALBEDO_FLOOR * grey) ** 2,
-        (std["specular_albedo"] / bright) ** 2 + ALBEDO_FLOOR**2, (std["sigma"] / wide) ** 2 + WIDTH_FLOOR**2,
-    ], -1)  # fmt: skip
+    values, variance, weight = (np.zeros((len(points.position), n), np.float32) for n in (WIDTH, 4, 2))
+    values[at], variance[at] = found, _variances(sight, own, found)
     share = np.clip((facing[at] - LEAST_FACING) / (SQUARE - LEAST_FACING), 0.01, 1.0) * facing[at] ** 2
     weight[at] = share[:, None] * (near[:, None] & np.stack([shown["surface"], shown["lobe"]], -1))
     return CameraValues(values, variance, weight)
+
+
+def _variances(sight: Sight, pixels: Float, found: Float) -> Float:
+    """Variances [N, 4] at pixels [N, 2] with values [N, 12], as `CameraValues` holds them."""
+    maps = sight.maps
+    std = {n: sampled(maps.maps[f"std_{n}"].astype(np.float64), pixels)[:, 0] for n in
+           ("diffuse_normal", "diffuse_albedo", "specular_albedo", "sigma")}  # fmt: skip
+    normal, albedo, specular, sigma = (
+        BOX * sampled(sight.slopes[n].astype(np.float64), pixels)
+        for n in ("normal", "diffuse_albedo", "specular_albedo", "sigma")
+    )
+    grey = np.maximum(found[:, ALBEDO].mean(1), 1e-6)
+    bright, wide = np.maximum(found[:, SPECULAR][:, 0], 1e-6), np.maximum(found[:, SIGMA].mean(1), 1e-6)
+    return np.stack([
+        np.radians(1) ** 2 * (std["diffuse_normal"] ** 2 + NORMAL_FLOOR**2) + normal,
+        std["diffuse_albedo"] ** 2 + (ALBEDO_FLOOR * grey) ** 2 + albedo,
+        (std["specular_albedo"] ** 2 + specular) / bright**2 + ALBEDO_FLOOR**2,
+        (std["sigma"] ** 2 + sigma) / wide**2 + WIDTH_FLOOR**2,
+    ], -1)  # fmt: skip
 
 
 def fused_maps(cameras: Iterable[CameraValues], geometric: Float) -> dict[str, NDArray]:
@@ -142,8 +159,9 @@ def _tangents(tangents: NDArray, weight: NDArray, normal: Float) -> Float:
     return np.where(((order > ONE_WAY) & (total > 0.5 * weight.sum(0)))[:, None], top, 0.0)
 
 
-def filled(mesh: Mesh, attributes: dict[str, NDArray], geometric: Float) -> dict[str, NDArray]:
-    """The attributes with the nearest seen vertex's where no camera sees one: material there, the mesh's own normal."""
+def filled(position: Float, attributes: dict[str, NDArray], geometric: Float) -> dict[str, NDArray]:
+    """The attributes of points [V, 3] with the nearest seen one's where no camera sees one: material there, the mesh's normal
+    [V, 3]."""
     from scipy.spatial import cKDTree
 
     out = dict(attributes)
@@ -155,7 +173,7 @@ def filled(mesh: Mesh, attributes: dict[str, NDArray], geometric: Float) -> dict
     ):  # fmt: skip
         if not seen.any() or seen.all():
             continue
-        _, nearest = cKDTree(mesh.vertices[seen]).query(mesh.vertices[~seen])
+        _, nearest = cKDTree(position[seen]).query(position[~seen])
         for name in names:
             values = out[name].copy()
             values[~seen] = values[seen][nearest]

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.engine.stage import StageRun
-from pipeline.rig.map_flags import AWAY, BAD_SAMPLES, BLACK, FLAGS, GOOD, NO_LOBE, OUTSIDE, SATURATED, TOO_FEW
+from pipeline.rig.map_flags import AWAY, BAD_SAMPLES, BLACK, FLAGS, GOOD, NO_LOBE, OUTSIDE, SATURATED, SOUND_FLAGS, TOO_FEW
 from stages.olat.pixel_fit.result_layout import FLAG, RESIDUAL
 
 MOST = 0.5  # share of pixels with a flag above which the maps as a whole are in doubt
@@ -45,14 +45,15 @@ class Verdict:
         total = self.misfits.sum()
         return float((np.searchsorted(np.cumsum(self.misfits), 0.5 * total) + 0.5) * 2 / BINS) if total else 0.0
 
-    def tell(self, stage: StageRun, camera: str) -> None:
-        """Keep the figures, and warn where the maps as a whole are in doubt."""
+    def tell(self, stage: StageRun, camera: str, lobe: bool = True) -> None:
+        """Keep the figures, and warn where the maps as a whole are in doubt; lobe: the passes are meant to show one."""
         total = int(self.counts.sum())
         stage.note(f"{camera}.flags", {name: int(n) for name, n in zip(FLAGS, self.counts) if n})
         stage.note(f"{camera}.misfit", round(self.misfit, 3))
-        flagged = total - int(self.counts[GOOD])
+        doubtful = np.where(np.isin(np.arange(len(FLAGS)), (GOOD,) if lobe else SOUND_FLAGS), 0, self.counts)
+        flagged = int(doubtful.sum())
         if flagged > MOST * total:
-            worst = int(np.argmax(self.counts[1:])) + 1
+            worst = int(np.argmax(doubtful))
             stage.warn(
                 f"{camera}: {100 * flagged / total:.0f} % of the pixels have a flag, most of them {worst} ({FLAGS[worst]}, "
                 f"{100 * self.counts[worst] / total:.0f} %): {REMEDIES[worst]}"

@@ -80,7 +80,8 @@ def check_capture(stage: StageRun, pilot: list[Piece], rig: LightTable) -> None:
     stage.note("light_frame", explanation.as_json())
     say_frame(stage, explanation, rig.directions, sound_passes=doubt is None)
     if explanation.fits and explanation.there.total < WRONG and explanation.order.misfit > NOTED:
-        say_brightness(stage, explanation.order, samples, rig.directions[explanation.order.lights])
+        glossy = pilot[0].job.passes in ("parallel", "none")
+        say_brightness(stage, explanation.order, samples, rig.directions[explanation.order.lights], glossy)
 
 
 @dataclass(frozen=True)
@@ -193,13 +194,16 @@ def say_frame(stage: StageRun, explanation: Explanation, w: NDArray[np.float64],
         stage.warn(f"{table}: the light table does not fit the frames ({how}): {', and '.join(remedies) or unknown}")
 
 
-def say_brightness(stage: StageRun, order: Order, samples: Seen, w: NDArray[np.float64]) -> None:
-    """A line where the frames fit much better with lights w [N, 3] of other brightnesses than the table's."""
+def say_brightness(stage: StageRun, order: Order, samples: Seen, w: NDArray[np.float64], glossy: bool = False) -> None:
+    """A line where the frames fit much better with lights w [N, 3] of other brightnesses than the table's.
+
+    glossy: the samples hold highlights, whose own colour tells nothing of the lights'.
+    """
     gains = light_gains(samples.diffuse, w)
     logs = np.log(gains)
     common = logs.mean(1)
     uneven, coloured = float(common.std()), float((logs - common[:, None]).std())
-    if uneven < UNEVEN and coloured < COLOURED:
+    if uneven < UNEVEN and (glossy or coloured < COLOURED):
         return
     _, each = lambert((samples.diffuse / gains[:, None]).mean(-1), w)
     if not np.nanmedian(each) < CLEARLY * order.misfit:
