@@ -16,7 +16,7 @@ AT = map_slices()
 SETTINGS = FitOptions(
     lobe=1, rounds=8, robust=2, steps=15, tolerance=3e-6, saturation=np.inf, specular_factor=2.0, irradiance=np.pi, gain=GAIN,
     mixed=MIXED, prior=PRIOR, plain=False, specular_fit=0, fuse_correlation=False, printed_maps=False, remove=False,
-    gradient=False, one_pass=0,
+    gradient=False, one_pass=0, gap=0.1, removals=2,
 )  # fmt: skip
 
 

@@ -15,7 +15,7 @@ from dataclasses import asdict
 from datetime import date
 from pathlib import Path
 
-from benchmarks.stability import functions, fused, light_stage, repeats, whole_runs
+from benchmarks.stability import functions, fused, light_stage, options, repeats, whole_runs
 from benchmarks.stability.page import TITLES, page
 from benchmarks.stability.verdicts import Row
 
@@ -30,25 +30,26 @@ def main() -> int:
     parser.add_argument("--parts", nargs="*", choices=list(TITLES), default=list(TITLES))
     parser.add_argument("--fresh", action="store_true", help="run again what this commit has already run")
     parser.add_argument("--work", type=Path, default=ROOT / "build" / "stability", help="where captures and datasets lie")
-    options = parser.parse_args()
+    given = parser.parse_args()
     stamp = {"commit": _commit(), "machine": _machine(), "date": f"{date.today():%Y-%m-%d}"}
     stored = json.loads(RESULTS.read_text()) if RESULTS.is_file() else {"rows": []}
-    same = stored.get("commit") == stamp["commit"] and not options.fresh
-    kept = [Row(**row) for row in stored["rows"] if same or row["part"] not in options.parts]
-    for part in options.parts:
+    same = stored.get("commit") == stamp["commit"] and not given.fresh
+    kept = [Row(**row) for row in stored["rows"] if same or row["part"] not in given.parts]
+    for part in given.parts:
         done = [row for row in kept if row.part == part]
-        if done and stored.get("finished", {}).get(part) == stamp["commit"] and not options.fresh:
+        if done and stored.get("finished", {}).get(part) == stamp["commit"] and not given.fresh:
             continue
+        stored.get("finished", {}).pop(part, None)
         # Whole runs take minutes: those that are done stay. Other parts are begun again.
         over = {row.name for row in done} if part == "whole runs" else set()
         kept = [row for row in kept if row.part != part or row.name in over]
-        for row in PARTS[part](options.work, over):
+        for row in PARTS[part](given.work, over):
             kept.append(row)
             _write(kept, stamp, stored)
             print(f"{'sound' if row.sound else 'FAILS'}  {row.part}: {row.name}, {row.setting}  {row.why}", flush=True)
         stored.setdefault("finished", {})[part] = stamp["commit"]
         _write(kept, stamp, stored)
-    PAGE.write_text(page(kept, stamp))
+    PAGE.write_text(page(kept, {**stamp, "finished": stored.get("finished", {})}))
     failed = sum(not row.sound for row in kept)
     print(f"{len(kept)} cases, {failed} fail: {PAGE}")
     return 1 if failed else 0
@@ -62,12 +63,13 @@ def _write(rows: list[Row], stamp: dict[str, str], stored: dict) -> None:
     part.replace(RESULTS)
 
 
-def _repeats(work: Path, over: set[str]) -> Iterator[Row]:
+def _captures(work: Path) -> Path:
+    """Where the small captures `views` and `stage` lie, made if they are not there."""
     captures = work / "tiny"
     if not (captures / "stage").is_dir():
         size = ["--size", "64", "--spp", "48", "--lights", "24"]
         subprocess.run([sys.executable, "-m", "synth", str(captures), *size], check=True, cwd=ROOT)
-    return repeats.rows(captures, work / "repeats")
+    return captures
 
 
 PARTS: dict[str, Callable[[Path, set[str]], Iterator[Row]]] = {
@@ -75,7 +77,8 @@ PARTS: dict[str, Callable[[Path, set[str]], Iterator[Row]]] = {
     "kernels": lambda work, over: fused.rows(),
     "light stage": lambda work, over: light_stage.rows(),
     "whole runs": whole_runs.rows,
-    "repeats": _repeats,
+    "options": lambda work, over: options.rows(_captures(work) / "stage", work / "options"),
+    "repeats": lambda work, over: repeats.rows(_captures(work), work / "repeats"),
 }
 
 

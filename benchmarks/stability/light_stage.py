@@ -16,7 +16,6 @@ from pipeline.rig.light_table import LightTable
 from pipeline.rig.lobe_names import LOBES
 from pipeline.rig.map_flags import FLAGS, GOOD
 from pipeline.rig.solid_angles import solid_angles
-from stages.olat.pixel_fit.fit_options import ROUND
 from stages.olat.pixel_fit.lobe_choice import CANDIDATES, choose
 from stages.olat.pixel_fit.many_pixels import fit
 from stages.olat.pixel_fit.result_layout import FLAG
@@ -144,16 +143,13 @@ def _row(setting: Setting, seed: int) -> Row:
     wrong = good & (np.maximum(off["n_d"], off["n_s"]) > WRONG_DEG)
     wrong |= good & (np.maximum(off["sigma"], off["rho_s"]) > WRONG_SHARE)
     most = float(rows[good, AT["specular_albedo"]].max()) if good.any() else 0.0
-    bent = float(np.median(rows[good, AT["anisotropy"]])) if good.any() else 0.0
+    bent = int(np.sum(rows[good, AT["anisotropy"]] > ANISOTROPIC))
     is_round = "sigma" in setting.options and setting.options["sigma"][0] == setting.options["sigma"][1]
     share = float(wrong.sum() / max(good.sum(), 1))
-    noisy = setting.options.get("noise", 0.0) > 0
     faults = [
         f"{100 * share:.1f} % of those flagged good are wrong" if wrong.sum() > max(MOST_WRONG * good.sum(), 1) else "",
         f"a specular albedo of {most:.1e} is flagged good" if most > RHO_SPACE else "",
-        f"a round lobe has a median anisotropy of {bent:.2f}"
-        if is_round and not noisy and bent > max(ANISOTROPIC, ROUND)
-        else "",
+        f"{bent} round lobes are called anisotropic" if is_round and bent > max(MOST_WRONG * good.sum(), 1) else "",
         "values that are not finite" if not np.isfinite(rows).all() else "",
     ]
     flags = np.bincount(rows[:, FLAG].astype(int), minlength=len(FLAGS))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from benchmarks.stability.verdicts import Row
@@ -33,6 +33,12 @@ TITLES = {
         "where nothing can be made, refuses in one line), every value written is finite, and a warning says what the "
         "model cannot explain.",
     ),
+    "options": (
+        "Every option of the light stage",
+        "A small light stage through the olat stage under every value of every option, relit from its maps. Sound: it ends, "
+        "every value is finite, `maps.json` names the lobe that was fitted, and the picture is neither darker than half of the "
+        "default's nor has peaks of four times its. *relit_peak*: 99.9th percentile.",
+    ),
     "repeats": ("The same bytes twice", "Files of every stage, but for logged seconds."),
 }
 
@@ -57,14 +63,17 @@ def _table(rows: Sequence[Row]) -> list[str]:
     return lines
 
 
-def page(rows: Sequence[Row], stamp: dict[str, str]) -> str:
-    """The page as Markdown."""
+def page(rows: Sequence[Row], stamp: Mapping[str, Any]) -> str:
+    """The page as Markdown; stamp: the commit, the machine, the date, and which parts were `finished`."""
     failed = [row for row in rows if not row.sound]
     lines = [
         "# Stability: stiff and extreme cases", "",
         f"Written by `make stability`, which exits with 1 on a failure: {len(rows)} cases, **{len(failed)} fail**. "
         f"{stamp['machine']}; commit {stamp['commit']}; {stamp['date']}.", "",
     ]  # fmt: skip
+    open_parts = [title for part, (title, _) in TITLES.items() if part not in stamp.get("finished", {})]
+    if open_parts:
+        lines += [f"Not run to their end, and so not judged as a whole: {', '.join(open_parts).lower()}.", ""]
     if failed:
         lines += ["## What fails", ""]
         lines += [f"- {row.part}: {row.name}, {row.setting}: {row.why or 'beyond its bar'}" for row in failed] + [""]

@@ -7,10 +7,10 @@ import os
 import shutil
 import subprocess
 import sys
-import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
+from benchmarks.stability.processor_time import spent
 from benchmarks.stability.verdicts import Row
 
 ROOT = Path(__file__).parents[2]
@@ -37,7 +37,7 @@ def rows(captures: Path, datasets: Path) -> Iterator[Row]:
             bad = [k for k in other if name not in CLOSE or k.split("/")[0] in EXACT]
             yield Row(
                 part="repeats", name=f"{capture} to {until}", setting=name,
-                figures={"files": len(first), "different": len(other), "s": seconds}, sound=bool(first) and not bad,
+                figures={"files": len(first), "different": len(other), "cpu_s": seconds}, sound=bool(first) and not bad,
                 why=", ".join(bad[:3]), worst=", ".join(other[:2]),
             )  # fmt: skip
 
@@ -46,7 +46,7 @@ def _digests(
     capture: Path, dataset: Path, until: str, environment: Mapping[str, str], jobs: int
 ) -> tuple[dict[str, str], float]:
     shutil.rmtree(dataset, ignore_errors=True)
-    start = time.perf_counter()
+    start = spent()
     done = subprocess.run(
         [sys.executable, "-m", "stages", until, capture, "--dataset", dataset, "--params", TRAINED, "--jobs", str(jobs)],
         cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT), **environment}, capture_output=True, text=True,
@@ -58,4 +58,4 @@ def _digests(
         stage, _, *inside = path.relative_to(dataset).parts
         if path.is_file() and path.name not in {"manifest.json", *SECONDS}:
             found["/".join((stage, *inside))] = hashlib.sha256(path.read_bytes()).hexdigest()
-    return found, time.perf_counter() - start
+    return found, spent() - start

@@ -23,12 +23,12 @@ import numpy as np
 from pipeline.kernels.compiling import kernel
 from pipeline.kernels.numerics import FAST, FOUR, HALF, ONE, TINY, TWO, ZERO, exp
 from pipeline.rig.lobe_names import BECKMANN, GGX, PRINTED, PRINTED_COSINE, WARD
+from pipeline.rig.smith_fit import smith_fit
 
 INVERSE_4PI = 1.0 / (4.0 * math.pi)
 VIEW_FLOOR = 0.01  # n·o below it (0.6 degrees from grazing) is held there: 1/(n·o) would run away
 LIGHT_FLOOR = np.float32(0.01)  # the same for n·i under the printed lobe's square root
 
-G_A, G_B, G_C, G_D = (np.float32(v) for v in (3.535, 2.181, 2.276, 2.577))
 G_ONE = np.float32(1 / 1.6)  # below this alpha tan(theta) nothing is masked
 
 
@@ -62,10 +62,11 @@ def _masked(g, slope, square, v0, v1, fa, fb, c, x, y, z):
 def smith(x, y, z, ea, eb, c):
     """Beckmann's G1 of a direction (x, y, z) in the frame, and d log G1 by d1, d2, A, B, C."""
     s, square, v0, v1, fa, fb, z = _slope(x, y, z, ea, eb, c)
-    top, bottom = G_A * s + G_B, s * s + G_C * s + G_D
+    ga, gb, gc, gd = smith_fit(s)
+    top, bottom = ga * s + gb, s * s + gc * s + gd
     below = s < G_ONE
     g = ONE if below else top / bottom
-    slope = ZERO * s if below else (G_A / top - (TWO * s + G_C) / bottom) * s  # by log s
+    slope = ZERO * s if below else (ga / top - (TWO * s + gc) / bottom) * s  # by log s
     return _masked(g, slope, square, v0, v1, fa, fb, c, x, y, z)
 
 

@@ -46,7 +46,7 @@ def overlap(height: int, width: int, resolution: int) -> csr_matrix:
     Exact along meridians, which cross rows and texels at known heights, and Gauss quadrature over azimuth between
     the columns' and the side texels' edges; then scaled alternately towards both sets of exact solid angles.
     Columns sum to the pixels' to rounding, so the integral of radiance is conserved; rows sum to the texels' within
-    a few parts in 1e4 (top and bottom) or better, so constants stay constant.
+    2e-3 (in the corners of top and bottom, 512 x 1024 pixels to 32 texels), so constants stay constant to that.
     """
     edges = np.linspace(-1, 1, resolution + 1)
     sides = (np.arctan(edges)[None, :] + np.arange(4)[:, None] * (np.pi / 2)).ravel() % (2 * np.pi)

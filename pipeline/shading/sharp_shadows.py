@@ -62,7 +62,7 @@ class SharpShadows:
         self.parts: BrightParts = bright_parts(field.tree, transfer.resolution)
         self._dark = light.texels.clone()
         self._dark[torch.as_tensor(self.parts.texels)] = 0
-        self._rest = self._taken(transfer.vertices, light)
+        self._rest = transfer.blocked(transfer.vertices, self._dark) / light.arriving.clamp_min(torch.finfo(torch.float32).tiny)
         self._faint = FAINT * float(light.texels.sum(1).mean())
         seen = transfer.sees(transfer.vertices, self.parts.texels)
         around: csr_matrix = _neighbours(transfer.occluder.triangles, len(seen))

@@ -49,12 +49,14 @@ class SurfaceLight:
         shadow, bounced: as in `shading.Occlusion`. [V, 3]
         leaving: diffuse radiance that the surface sends back. [V, 3]
         texels: the environment that was gathered. [K, 3]
+        arriving: irradiance without the mesh. [V, 3]
     """
 
     shadow: torch.Tensor
     bounced: torch.Tensor
     leaving: torch.Tensor
     texels: torch.Tensor
+    arriving: torch.Tensor
 
 
 @dataclass(frozen=True)
@@ -143,22 +145,22 @@ class Transfer:
         """
         texels = self._texels(radiance)
         arriving, shadow = self._received(self.vertices, texels)
-        return self._spread(shadow, shadow * arriving, texels, bounces)
+        return self._spread(shadow, arriving, texels, bounces)
 
     def lit(self, direct: torch.Tensor, bounces: int = MOST_BOUNCES) -> SurfaceLight:
         """Light at the vertices that receive `direct` [V, 3] from lamps that are no environment; its `texels` are dark."""
         dark = torch.zeros(len(self._directions), 3)
         return self._spread(torch.ones_like(direct), direct, dark, bounces)
 
-    def _spread(self, shadow: torch.Tensor, direct: torch.Tensor, texels: torch.Tensor, bounces: int) -> SurfaceLight:
-        """What the surface sends on to itself of the light that it receives directly [V, 3]."""
-        scale = self._leaving / torch.pi
+    def _spread(self, shadow: torch.Tensor, arriving: torch.Tensor, texels: torch.Tensor, bounces: int) -> SurfaceLight:
+        """What the surface sends on to itself of the light that it receives directly, shadow x arriving [V, 3]."""
+        direct, scale = shadow * arriving, self._leaving / torch.pi
         bounced = torch.zeros_like(direct)
         for _ in range(bounces):
             before, bounced = bounced, self.vertices.met @ (scale * (direct + bounced))
             if float((bounced - before).detach().sum()) <= SETTLED * float((direct + bounced).detach().sum()):
                 break
-        return SurfaceLight(shadow, bounced, scale * (direct + bounced), texels)
+        return SurfaceLight(shadow, bounced, scale * (direct + bounced), texels, arriving)
 
     def _texels(self, radiance: torch.Tensor) -> torch.Tensor:
         sizes = pyramid_sizes(radiance.shape[1])

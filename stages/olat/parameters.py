@@ -38,6 +38,10 @@ class OlatParameters:
             "help": "samples marked clipped bound the lobe from below; remove: PRF Alg. 1 on them; off: taken as they are"
         },
     )
+    overexposure_gap: float = field(
+        default=0.1, metadata={"help": "PRF Alg. 1's epsilon: gap, of a pixel's brightest sample, that makes samples spikes"}
+    )
+    overexposure_rounds: int = field(default=2, metadata={"help": "PRF Alg. 1's M: how often spikes are taken down"})
     maps: Literal["normalised", "printed"] = field(
         default="normalised", metadata={"help": "occlusion and inter-reflection by solid angles; printed: PRF Eqs. 4 and 5"}
     )
@@ -59,10 +63,18 @@ class OlatParameters:
     band_mb: float = field(default=96.0, metadata={"help": "samples held of one band of scanlines (MiB); two bands are held"})
 
     def __post_init__(self) -> None:
-        """Raises ValueError on a light selection or a band size without meaning."""
+        """Raises ValueError on a light selection or a number without meaning, and on what a solver cannot do."""
         every(self.lights)
         if not self.band_mb > 0:
             raise ValueError(f"band_mb = {self.band_mb} is not above 0")
+        if not 0 < self.overexposure_gap < 1:
+            raise ValueError(f"overexposure_gap = {self.overexposure_gap} is not between 0 and 1")
+        if self.overexposure_rounds < 1:
+            raise ValueError(f"overexposure_rounds = {self.overexposure_rounds} is not above 0")
+        if self.solver != "closed" and self.lobe not in ("auto", "ward"):
+            raise ValueError(f"lobe = {self.lobe}: solver = {self.solver} has Ward's lobe alone; leave lobe out")
+        if self.solver not in ("closed", "gradient") and self.precision != "float32":
+            raise ValueError(f"precision = {self.precision}: solver = {self.solver} computes in float32; leave precision out")
 
 
 def every(lights: str) -> int:

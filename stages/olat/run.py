@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.engine.stage import StageRun
+from pipeline.errors import UserError
 from pipeline.formats.dataset_files import FITTED_LOBE
 from pipeline.rig.light_table import LightTable
 from pipeline.rig.lobe_names import LOBES
@@ -39,7 +40,7 @@ from stages.olat.reading.stream import Lanes, Piece
 PRIOR = (1 / np.radians(0.5)) ** 2  # n_s and n_d of one surface agree to about half a degree
 WIDTHS = {**dict.fromkeys(LOBES, "Beckmann/Ward widths"), "ggx": "GGX widths (alpha)"}  # what `sigma` is, for maps.json
 GAIN = 0.9
-MIXED = 1.0
+MIXED = 20.1  # one chance in a hundred, of eight parameters more
 LEAST_LIGHT = 0.05
 NOTHING = np.empty((0, 0, 3), np.uint16)
 TOLERANCE = {"float32": 3e-6, "float64": 1e-12}
@@ -58,6 +59,8 @@ def run(stage: StageRun, lanes: Lanes) -> None:
     stage.note("lights", {"used": len(rig), "of": len(index["lights"]["directions"])})
     settings = settings_of(parameters, stage.capture.config.olat, float(level) if bound and level is not None else np.inf)
     settings = settings._replace(one_pass=PASSES[lanes.jobs[0][0].passes])  # all cameras have the same
+    if parameters.solver not in ("closed", "gradient") and settings.one_pass != PASSES["both"]:
+        raise UserError(f"olat.solver={parameters.solver}", "needs crossed and parallel frames", "take olat.solver=closed")
     half = lanes.jobs[0][0].half
     if not ready(half, parameters.precision):
         stage.progress.say("compiling the fits for this machine (once; about a minute)")
@@ -112,13 +115,14 @@ def settings_of(parameters: OlatParameters, config: Any, saturation: float) -> F
         specular_fit=SPECULAR_FITS[parameters.specular_fit], fuse_correlation=parameters.fusion == "correlation",
         printed_maps=parameters.maps == "printed", remove=parameters.overexposure == "remove",
         gradient=parameters.solver == "gradient", one_pass=PASSES["both"],
+        gap=parameters.overexposure_gap, removals=parameters.overexposure_rounds,
     )  # fmt: skip
 
 
 def choose_lobe(stage: StageRun, pilot: list[Piece], rig: LightTable, settings: FitOptions) -> FitOptions:
     """Where the lobe is `auto`: the one of `CANDIDATES` that leaves the smallest residual on most of the pilot's pixels."""
     parameters: OlatParameters = stage.parameters
-    if parameters.lobe != "auto" or settings.gradient:
+    if parameters.lobe != "auto" or parameters.solver != "closed":  # the other solvers are written for Ward's
         return settings
     camera, parts = pilot[0].job.camera, [piece.samples for piece in pilot]
     steps = [max(1, len(part.band.pixels) * len(parts) // PILOT) for part in parts]
@@ -174,10 +178,11 @@ def write_camera(stage: StageRun, job: CameraJob, parts: Iterator[Part], setting
     """Finish and write the maps of one camera from its parts."""
     parameters: OlatParameters = stage.parameters
     surface, verdict, directed = parameters.widths == "surface", Verdict(), 0
+    asked = ("removed",) if settings.remove else ()
     misregistration: Misregistration | None = None
     with (
         stage.progress.bar(f"fitting {job.name}", int(job.mask.sum()), "px") as bar,
-        MapWriter(stage.output / job.name, job.camera.width, job.camera.height) as writer,
+        MapWriter(stage.output / job.name, job.camera.width, job.camera.height, asked) as writer,
     ):
 
         def found() -> Iterator[tuple[Band, NDArray[np.float64]]]:
@@ -235,7 +240,8 @@ def fit_part(
         from stages.olat.zoo.paper_chain import solve_band
 
         own = slice(*part)
-        solve_band(parameters.solver, samples.cross[:, own], samples.parallel[:, own], view[own], rig, settings, rows)
+        near = None if points is None else points[own]
+        solve_band(parameters.solver, samples.cross[:, own], samples.parallel[:, own], view[own], rig, settings, rows, near)
     return rows
 
 

@@ -33,7 +33,10 @@ class RelightParameters:
     )
     shadow_rays: Literal["vertex", "pixel"] = field(
         default="vertex",
-        metadata={"help": "shadows from rays of the mesh's vertices, or of every pixel: sharper, seconds a view"},
+        metadata={
+            "help": "shadows of even light by rays of the mesh's vertices, or of every pixel: seconds a view; lamps' "
+            "shadows are sharp in either"
+        },
     )
     previews: bool = field(default=True, metadata={"help": "write a PNG beside every EXR"})
     turntable: int = field(default=0, metadata={"help": "frames of a turntable of the mesh under every map; 0: none (count)"})

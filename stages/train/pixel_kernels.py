@@ -74,6 +74,9 @@ def radiance_terms(predicted, target, weight, toe, gamma, width, gradient):
     sum_, third, width2 = 0.0, _ONE / np.float32(3), width * width
     for p in range(len(predicted)):
         row = _ZERO
+        if weight[p] <= _ZERO:  # what is there may be NaN
+            gradient[p] = _ZERO
+            continue
         for c in range(3):
             value, slope = _encoded(predicted[p, c], toe, gamma, origin, steepness)
             wanted, _ = _encoded(target[p, c], toe, gamma, origin, steepness)
@@ -91,6 +94,9 @@ def stokes_terms(predicted, target, weight, toe, gamma, width, gradient):
     sum_, sixth, width2 = 0.0, _ONE / np.float32(6), width * width
     for p in range(len(predicted)):
         row = _ZERO
+        if weight[p] <= _ZERO:
+            gradient[p] = _ZERO
+            continue
         for c in range(3):
             gradient[p, 0, c] = _ZERO
             slope = gamma * (max(target[p, 0, c], _ZERO) + toe) ** (gamma - _ONE)

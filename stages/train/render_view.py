@@ -12,8 +12,8 @@ from pipeline.shading import LightField, Occlusion, Shaded, shade
 from .indirect.pixel_light import PixelLight
 from .pixel_attributes import pixel_attributes
 from .rasterize import Raster, rasterize
-from .splats.activation import facing, taken_rows
 from .splats.gaussians import Splats, unit
+from .splats.taken_rows import facing, taken_rows
 from .views.view import View
 
 BACK_FACING = 0.1  # cosine below which a splat has turned its outer side away: half of it reaches past the horizon
@@ -119,8 +119,13 @@ def _rasterised(
     lens = view.intrinsics.clone()
     lens[:2] *= finer
     widths = splats.scales.detach()[:, 0]
+    means, quaternions, scales, opacities, features = taken_rows(splats, rows, extra)
     return rasterize(
-        *taken_rows(splats, rows, extra),
+        means,
+        quaternions,
+        scales,
+        opacities,
+        features,
         view.world_to_camera,
         lens,
         finer * width,

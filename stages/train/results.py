@@ -80,6 +80,18 @@ def say_what_is_unexplained(trainer: Trainer, start: Start, sources: list[Source
         stage.warn(line)
 
 
+def say_lost_gradients(trainer: Trainer, stage: StageRun) -> None:
+    """One line where gradients were not finite: the steps went on without them, which nothing else would show."""
+    lost = {name: found.tolist() for name, found in trainer.adam.not_finite.items() if found[0] > 0}
+    if lost:
+        first, name = min((since, name) for name, (_, since) in lost.items())
+        stage.note("gradients_not_finite", {name: count for name, (count, _) in lost.items()})
+        stage.warn(
+            f"{sum(count for count, _ in lost.values())} entries of the gradients were not finite and counted as 0, from step "
+            f"{first} on ({name}): check the pictures for absurd values, and the cameras for one inside the object"
+        )
+
+
 def openings_share(trainer: Trainer) -> float:
     """Mean share of the object's pixels that look into an opening, over the training views."""
     return float(np.mean([view.openings for view in trainer.pyramids[0]]))

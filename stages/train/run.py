@@ -22,7 +22,7 @@ from . import checkpoint
 from .angle_search import search_angles
 from .initialise.points import read_points
 from .parameters import TrainParameters
-from .results import finish_polarisers, openings_share, say_what_is_unexplained, write_results
+from .results import finish_polarisers, openings_share, say_lost_gradients, say_what_is_unexplained, write_results
 from .setup import NO_POINTS, Start, prepare_training
 from .trainer import Trainer
 from .training_loop import optimise
@@ -52,6 +52,7 @@ def train(stage: StageRun) -> None:
     with torch.no_grad():
         write_results(trainer, start, sources, stage)
         say_what_is_unexplained(trainer, start, sources, stage)
+        say_lost_gradients(trainer, stage)
     write_log(stage.output / files.TRAIN_LOG, history.rows)
     stage.note("splats", len(trainer.scene.model))
     stage.note("iterations", trainer.iteration)

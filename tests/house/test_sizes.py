@@ -44,6 +44,7 @@ LONG_FUNCTIONS = {
     "stages/olat/pixel_fit/mixed_tangents.py:_optimise": (60, _KERNEL),
     "stages/olat/pixel_fit/one_pixel.py:_specular": (70, _KERNEL),
     "stages/olat/pixel_fit/one_pixel.py:fit_pixel": (110, "one pixel from samples to maps, in the order of work"),
+    "stages/olat/pixel_fit/specular.py:optimise": (60, _KERNEL),
     "stages/olat/zoo/paper_chain.py:solve_band": (60, "the paper's steps in the paper's order"),
     "stages/train/rasterize/cuda.py:rasterize_cuda": (80, "the calls of another library, in its order"),
     "stages/train/rasterize/kernel_backward.py:pair_backward": (120, _ADJOINT),

@@ -6,6 +6,7 @@ import pytest
 from pipeline.rig.light_table import LightTable
 from pipeline.rig.lobe_names import LOBES
 from pipeline.rig.map_flags import AWAY, GOOD, OUTSIDE, TOO_FEW
+from stages.olat.pixel_fit.lobe_choice import CANDIDATES, choose
 from stages.olat.pixel_fit.result_layout import FLAG, map_slices
 from synth.olat_pixels import angle_deg, make, rig_of, unit
 
@@ -105,3 +106,28 @@ def test_normals_that_face_away_are_flagged(run):
     p.rig = LightTable(-p.rig.directions, -p.rig.positions, p.rig.intensity, p.rig.solid_angle)
     rows = run(p)
     assert np.mean(rows[:, FLAG] == AWAY) > 0.95
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.003, 0.03])
+def test_the_flank_of_a_narrow_ggx_lobe_is_not_called_a_gaussian(run, noise):
+    p = make(COUNT, seed=11, lobe="ggx", sigma=(0.02, 0.02), noise=noise)
+    rows = run(p)  # as a Ward lobe: it has the width of the lights' spacing, and a twentieth of the albedo
+    wrong = np.abs(rows[:, AT["specular_albedo"]][:, 0] / p.specular - 1) > 0.5
+    assert np.mean(wrong & (rows[:, FLAG] == GOOD)) < 0.01
+
+
+@pytest.mark.parametrize("lobe", ["ward", "ggx"])
+def test_noise_does_not_mix_the_tangents_of_a_wide_round_lobe(fitted, lobe):
+    p, rows = fitted(lobe, sigma=(0.8, 0.8), noise=0.01)
+    good = rows[:, FLAG] == GOOD
+    assert good.mean() > 0.9
+    assert np.mean(rows[good][:, AT["anisotropy"]] > 0.1) < 0.01
+    assert np.mean(np.abs(rows[good][:, AT["sigma"]] / p.sigma[good] - 1) > 0.5) < 0.01
+
+
+def test_a_lobe_is_chosen_by_pixels_that_other_forms_do_not_tell(run):
+    p = make(100, seed=3, lobe="beckmann", sigma=(1.0, 1.0))
+    found = {name: run(p, lobe=LOBES[name]) for name in CANDIDATES}
+    assert np.mean(found["ward"][:, FLAG] == GOOD) < 0.5  # wider than the hemisphere, as a Ward lobe
+    choice = choose(found)
+    assert choice.lobe == "beckmann" and choice.pixels > 50

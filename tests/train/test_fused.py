@@ -7,11 +7,11 @@ import torch
 
 from stages.train.log_environment import Environment, mean_step
 from stages.train.pixel_attributes import LEAST_ALPHA, pixel_attributes, pixel_attributes_plainly
-from stages.train.splats import activation
 from stages.train.splats.albedo_light_scale import albedo_pull, albedo_pull_plainly
 from stages.train.splats.densify import Activity
 from stages.train.splats.gaussians import SplatModel
 from stages.train.splats.optimiser import StepRule, SurfaceAdam, adam_update
+from stages.train.splats.taken_rows import taken_rows
 from stages.train.views import losses
 
 COUNT = 300
@@ -45,7 +45,7 @@ def test_splats_are_activated_and_taken_as_in_torch(raw):
     extras = [extra.clone().requires_grad_(True) for _ in models]
     for splats, more in zip((models[0].activated(), models[1].activated_plainly()), extras):
         if not taken:
-            taken.append(activation.taken_rows(splats, rows, more))
+            taken.append(taken_rows(splats, rows, more))
             continue
         columns = torch.cat([splats.normals, splats.albedo, splats.roughness[:, None], splats.ior[:, None], more], -1)
         parts = (splats.means, splats.quaternions, splats.scales, splats.opacities, columns)

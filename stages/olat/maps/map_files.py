@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.formats.image_output import write_fault
-from stages.olat.pixel_fit.result_layout import MAPS, map_slices
+from stages.olat.pixel_fit.result_layout import MAPS, ON_REQUEST, map_slices
 from stages.olat.reading.scanline_bands import Band
 
 COARSE = ("occlusion_d", "occlusion_s", "visibility_d", "visibility_s", "interreflection_d", "interreflection_s")
@@ -24,14 +24,16 @@ PREVIEW = 480  # pixels of a preview's longer side
 class MapWriter:
     """Open EXR files of one camera's maps; rows are written from the top down, 0 where nothing was fitted."""
 
-    def __init__(self, folder: Path, width: int, height: int) -> None:
-        """Create the folder and the files. Raises UserError when the target cannot be written."""
+    def __init__(self, folder: Path, width: int, height: int, asked: tuple[str, ...] = ()) -> None:
+        """Create the folder and the files, of `ON_REQUEST` those `asked` for. Raises UserError when it cannot be written."""
         import OpenImageIO as oiio
 
         self.folder, self.width, self.height, self.row = folder, width, height, 0
         folder.mkdir(parents=True, exist_ok=True)
         self.files = {}
         for name, channels in MAPS.items():
+            if name in ON_REQUEST and name not in asked:
+                continue
             kind = "half" if name in COARSE else "float"
             shown = ("R", "G", "B") if name in SHOWN else ()
             spec = oiio.ImageSpec(width, height, len(channels) + len(shown), kind)
@@ -88,7 +90,8 @@ class MapWriter:
             if not self.files[name].write_scanlines(top, top + len(strip), 0, part):
                 raise write_fault(self.folder / f"{name}.exr", self.files[name].geterror().strip())
 
-        list(self.pool.map(write, *zip(*map_slices().items())))
+        slices = map_slices()
+        list(self.pool.map(write, self.files, [slices[name] for name in self.files]))
         self.row = top + len(strip)
         first = -top % self.step
         picked = strip[first :: self.step, :: self.step]

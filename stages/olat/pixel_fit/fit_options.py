@@ -32,7 +32,7 @@ class FitOptions(NamedTuple):
     specular_factor: float
     irradiance: float
     gain: float  # share of the round lobe's robust cost that an anisotropic one must beat
-    mixed: float  # share of one lobe's robust cost that mixed tangents must beat (0: never tried)
+    mixed: float  # by how much mixed tangents must lower one lobe's robust cost, `lobe_fit.CERTAIN` (0: never tried)
     prior: float  # strength of the tie of n_s to n_d: inverse square of the angle (rad) they may differ by
     plain: bool  # diffuse fit without robust weights (PRF Eq. 12)
     specular_fit: int  # how n_s is found, `SPECULAR_FITS`
@@ -41,3 +41,5 @@ class FitOptions(NamedTuple):
     remove: bool  # clipped samples by PRF Algorithm 1 instead of as bounds
     gradient: bool  # gradient illumination alone (Ma et al. 2007)
     one_pass: int  # which passes there are, `PASSES`
+    gap: float  # PRF Algorithm 1's epsilon: gap, of the brightest sample, above which samples are spikes
+    removals: int  # PRF Algorithm 1's M: how often spikes are taken down

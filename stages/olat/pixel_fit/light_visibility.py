@@ -102,12 +102,16 @@ def _from_behind(light, ok, wx, wy, wz, area, nx, ny, nz, zeta):
 
 
 @kernel(error_model="numpy")
-def specular_maps(workspace, n, g, rho, zeta, all_area, w, n_s, out):
-    """Share of the lobe's lights and energy that arrives, and what arrives from behind; returns residual sums."""
+def specular_maps(workspace, n, g, rho, found, zeta, all_area, w, n_s, out):
+    """Share of the lobe's lights and energy that arrives, and what arrives from behind; returns residual sums.
+
+    The residual is that of the albedo `found` by the fit: a bounded one, `rho`, would not tell how well the lobe's form fits.
+    """
     kind = all_area.dtype.type
-    expected, arriving, lit, whole, square, data = _lobe_sums(
-        workspace.light[:n], g, workspace.area[:n], workspace.seen[:n], workspace.bound[:n], kind(rho), kind(zeta)
-    )
+    light, area, seen, bound = workspace.light[:n], workspace.area[:n], workspace.seen[:n], workspace.bound[:n]
+    expected, arriving, lit, whole, square, data = _lobe_sums(light, g, area, seen, bound, kind(rho), kind(zeta))
+    if rho < found:
+        _, _, _, _, square, data = _lobe_sums(light, g, area, seen, bound, kind(found), kind(zeta))
     out[VISIBILITY_S] = arriving / expected if expected > 0 else 0.0
     out[OCCLUSION_S] = lit / whole if whole > 0 else 0.0
     x, y, z = kind(n_s[0]), kind(n_s[1]), kind(n_s[2])

@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.rig.map_flags import GOOD
-from stages.olat.pixel_fit.result_layout import FLAG, RESIDUAL
+from stages.olat.pixel_fit.result_layout import FLAG, RESIDUAL, SIGMA
 
 CANDIDATES = ("ward", "beckmann", "ggx")
 
 
 @dataclass(frozen=True)
 class LobeChoice:
-    """The lobe, how many pixels had a say (good under every lobe), and each candidate's share of them."""
+    """The lobe, how many pixels had a say (fitted under every lobe, good under one), and each candidate's share of them."""
 
     lobe: str
     pixels: int
@@ -24,9 +24,13 @@ class LobeChoice:
 
 
 def choose(found: Mapping[str, NDArray[np.float64]]) -> LobeChoice:
-    """The best lobe by rows [P, WIDTH] of the same pixels fitted with each; the first where no pixel tells."""
+    """The best lobe by rows [P, WIDTH] of the same pixels fitted with each; the first where no pixel tells.
+
+    A lobe that is good must not be kept out because another form, fitted to the same samples, is not determined by them.
+    """
     names = list(found)
-    sound = np.all([rows[:, FLAG] == GOOD for rows in found.values()], 0)
+    sound = np.any([rows[:, FLAG] == GOOD for rows in found.values()], 0)
+    sound &= np.all([rows[:, SIGMA] > 0 for rows in found.values()], 0)
     residuals = np.stack([rows[sound, RESIDUAL] for rows in found.values()])
     best = np.bincount(residuals.argmin(0), minlength=len(names)) if sound.any() else np.zeros(len(names), int)
     count = int(sound.sum())

@@ -11,7 +11,8 @@ from pipeline.kernels.numerics import FAST, ZERO, copy1, copy2
 from pipeline.kernels.scratch import matrix, vector
 from pipeline.rig.lobes import values
 from stages.olat.pixel_fit.fit_options import ROUND
-from stages.olat.pixel_fit.mixed_tangents import LENGTH, concentration, fit_mixed, shape_of
+from stages.olat.pixel_fit.mixed_tangents import LENGTH, SIZE, concentration, fit_mixed, shape_of
+from stages.olat.pixel_fit.mixed_uncertainty import mixed_deviation
 from stages.olat.pixel_fit.specular import LOBE_FRACTION, frame_about, optimise, reweight, start_shape, widths
 
 RELATIVE = np.float32(0.2)  # of a sample: model error at which the robust weight falls to a quarter
@@ -19,8 +20,11 @@ ABSOLUTE = 0.02  # of the brightest sample: the same for dim samples
 DISAGREE = math.cos(math.radians(3.0))  # of n_s and n_d: further apart, n_d is tried as a start
 MIXED_MISFIT = 0.05**2  # of the samples' square norm: a lobe that misses more may be several
 CERTAIN = 18.2
-"""By how much two more parameters must lower the cost of n samples: `1 / (1 + CERTAIN / (n - 6))`, an F test at 9.1 (one chance
-in ten thousand where there are many). Settings' `gain` is that of 170 lights, and the most there is."""
+"""By how much two more parameters must lower the cost of n samples that are then fitted by p: `1 / (1 + CERTAIN / (n - p))`.
+
+An F test: one chance in ten thousand where there are many samples. Settings' `gain` is that of 170 lights, and the most there
+is; settings' `mixed` is the same for the eight parameters more of mixed tangents.
+"""
 UNSURE = 0.1**2  # of the square norm, weighted or not: a lobe or a mixture that misses more has no tangent
 ROUND_STEPS, DIRECTED_STEPS = 2, 3  # Levenberg-Marquardt steps between two reweightings: round lobe, anisotropic lobe
 
@@ -34,8 +38,9 @@ def fit_lobe(settings, o, n_d, prior, solved, half, incident, light, floor, use,
     workspace, left with the final weights and the lobe's values; equations [6, 6]: left with
     one lobe's normal equations (`specular.optimise`); top, noise: brightest sample and deviation; prior: strength of
     the tie to n_d where `solved`, negative where n_d is simply given; workspace: `workspace.Workspace`.
-    Returns (gradient norm, passes, order of the tangents: 1 where one lobe is kept, less where they mix; what the tie added to
-    the equations' first two diagonal entries).
+    Returns (gradient norm, passes, order of the tangents: 1 where one lobe is kept, less where they mix, how it ended): of one
+    lobe, (what the tie added to the equations' first two diagonal entries, what is left to its minimum, 0, 0, 0, 0), and of a
+    mixture what `mixed_uncertainty.mixed_deviation` returns.
     """
     kind = light.dtype.type
     absolute = kind(ABSOLUTE * top + 3 * noise)
@@ -64,7 +69,7 @@ def fit_lobe(settings, o, n_d, prior, solved, half, incident, light, floor, use,
     other, more = _rounds(settings, prior, frame2, shape2, rho2, o, n_d, stiff, absolute, False, samples)
     passes += more
     large, small, _ = widths(shape2)
-    anisotropic = other < _gain(settings.gain, use) * cost and (large - small) > ROUND * (large + small)
+    anisotropic = other < _gain(settings.gain, use, CERTAIN, 6) * cost and (large - small) > ROUND * (large + small)
     if anisotropic:
         rho[0] = rho2[0]
         copy2(frame2, frame)
@@ -74,7 +79,7 @@ def fit_lobe(settings, o, n_d, prior, solved, half, incident, light, floor, use,
     if settings.robust > 0:
         reweight(g, kind(rho[0]), light, use, absolute, RELATIVE, weight)
     stiffness = _stiffness(prior, g, kind(rho[0]), light, use, weight) if stiff else 0.0
-    _, norm, more = optimise(settings.lobe, frame, shape, rho, o, half, incident, light, floor, weight, not anisotropic,
+    left, norm, more = optimise(settings.lobe, frame, shape, rho, o, half, incident, light, floor, weight, not anisotropic,
                              stiffness, n_d, settings.steps, settings.tolerance,
                              equations)  # fmt: skip
     passes += more
@@ -83,19 +88,20 @@ def fit_lobe(settings, o, n_d, prior, solved, half, incident, light, floor, use,
     values(settings.lobe, frame, shape, o, half, incident, g)
     large, small, angle = widths(shape)
     miss, data, count = _misfit(g, kind(rho[0]), light, floor, use)
-    order = 1.0
+    order, ended = 1.0, (tied, left, 0.0, 0.0, 0.0, 0.0)
     if settings.mixed > 0 and prior >= 0 and miss > MIXED_MISFIT * data + _expected(count, noise):
         x = vector(LENGTH)
         copy2(frame, frame2)
         cost = reweight(g, kind(rho[0]), light, use, absolute, RELATIVE, weight)
         tie = _stiffness(prior, g, kind(rho[0]), light, use, weight) if stiff else 0.0
+        most = _gain(1.0, use, settings.mixed, SIZE) * cost
         trial, trial_weight = workspace.trial[0, : light.size], workspace.trial[1, : light.size]
         other, more = fit_mixed(settings.lobe, frame2, x, large, small, angle, rho[0], o, half, incident, light, floor, use,
-                                absolute, RELATIVE, tie, n_d, settings.tolerance, settings.mixed * cost, trial_weight,
+                                absolute, RELATIVE, tie, n_d, settings.tolerance, most, trial_weight,
                                 trial, workspace)  # fmt: skip
         passes += more
         total, angle, order2 = concentration(x)
-        if other < settings.mixed * cost and total > 0:
+        if other < most and total > 0:
             slope = matrix(2, 3)
             rho[0], order = total, order2
             copy2(frame2, frame)
@@ -103,11 +109,12 @@ def fit_lobe(settings, o, n_d, prior, solved, half, incident, light, floor, use,
             for k in range(light.size):
                 g[k] = trial[k] / kind(total)
             copy1(trial_weight, weight)
+            ended = mixed_deviation(settings.lobe, frame, x, o, half, incident, light, floor, weight, tie, n_d, workspace.spare)
         for weights in (use, weight):
             miss, data, count = _misfit(g, kind(rho[0]), light, floor, weights)
             if miss > UNSURE * data + _expected(count, noise):
                 order = 0.0  # what is left is as large as what tells the directions apart
-    return norm, passes, order, tied
+    return norm, passes, order, ended
 
 
 @kernel(error_model="numpy")
@@ -117,12 +124,12 @@ def _expected(count, noise):
 
 
 @kernel(error_model="numpy")
-def _gain(most, use):
-    """Share of the round lobe's cost that an anisotropic one must beat, for as many samples as are in use."""
-    n = 0.0
+def _gain(most, use, certain, parameters):
+    """Share of the simpler lobe's cost that one of `parameters` must beat, for as many samples as are in use."""
+    n = 0.0 - parameters
     for k in range(use.size):
         n += 1.0 if use[k] > 0 else 0.0
-    return min(most, 1.0 / (1.0 + CERTAIN / (n - 6.0))) if n > 6.0 else 0.0
+    return min(most, 1.0 / (1.0 + certain / n)) if n > 0.0 else 0.0
 
 
 @kernel(fastmath=FAST, error_model="numpy")

@@ -48,7 +48,7 @@ def _settings(v):
     """Options from their numbers in order."""
     return FitOptions(
         int(v[0]), int(v[1]), int(v[2]), int(v[3]), v[4], v[5], v[6], v[7], v[8], v[9], v[10],
-        v[11] != 0, int(v[12]), v[13] != 0, v[14] != 0, v[15] != 0, v[16] != 0, int(v[17]),
+        v[11] != 0, int(v[12]), v[13] != 0, v[14] != 0, v[15] != 0, v[16] != 0, int(v[17]), v[18], int(v[19]),
     )  # fmt: skip
 
 

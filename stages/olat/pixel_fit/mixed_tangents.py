@@ -53,7 +53,7 @@ def direction(x, j):
 
 
 @kernel(error_model="numpy")
-def _system(lobe, frame, x, o, h, i, light, floor, weight, rows, one, prior, n_d, matrix, gradient):
+def mixed_equations(lobe, frame, x, o, h, i, light, floor, weight, rows, one, prior, n_d, matrix, gradient):
     """Normal equations [SIZE, SIZE] of the mixture at x = (s1, s2, first angle, weights); returns the cost."""
     shape, slope = scratch.vector(3), scratch.matrix(2, 3)
     kind = light.dtype.type
@@ -135,7 +135,7 @@ def _optimise(lobe, frame, x, o, h, i, light, floor, weight, prior, n_d, toleran
     size = weighted_square(light, weight)
     if not size > 0:
         return 0
-    cost = _system(lobe, frame, x, o, h, i, light, floor, weight, rows, one, prior, n_d, matrix, gradient)
+    cost = mixed_equations(lobe, frame, x, o, h, i, light, floor, weight, rows, one, prior, n_d, matrix, gradient)
     damping, passes = 1e-3, 1
     for _ in range(STEPS):
         norm = 0.0
@@ -162,7 +162,7 @@ def _optimise(lobe, frame, x, o, h, i, light, floor, weight, prior, n_d, toleran
             x2[k] = min(max(x[k] - scale * step[2 + k], LOG_MIN), LOG_MAX)
         for j in range(DIRECTIONS):
             x2[3 + j] = max(x[3 + j] - scale * step[4 + j], 0.0)
-        cost2 = _system(lobe, frame2, x2, o, h, i, light, floor, weight, rows, one, prior, n_d, matrix2, gradient2)
+        cost2 = mixed_equations(lobe, frame2, x2, o, h, i, light, floor, weight, rows, one, prior, n_d, matrix2, gradient2)
         passes += 1
         if cost2 < cost * (1 + 1e-6):
             copy2(frame2, frame)

@@ -13,17 +13,12 @@ from pipeline.rig.lobes import VIEW_FLOOR, values
 from pipeline.rig.map_flags import AWAY, BAD_SAMPLES, BLACK, GOOD, NO_LOBE, SATURATED, TOO_FEW
 from stages.olat.pixel_fit.diffuse import channel_albedo, in_use_of
 from stages.olat.pixel_fit.fit_options import CORRELATION, JOINT, PARALLEL_ALONE, ROUND
+from stages.olat.pixel_fit.form_evidence import doubt
+from stages.olat.pixel_fit.gradient_illumination import gradient_maps
 from stages.olat.pixel_fit.light_visibility import behind, diffuse_maps, printed_maps, specular_maps
 from stages.olat.pixel_fit.lobe_fit import fit_lobe, linear_albedo, round_start
 from stages.olat.pixel_fit.one_pass import diffuse_normal, leave_specular
-from stages.olat.pixel_fit.paper_forms import (
-    correlation,
-    correlation_normal,
-    gradient_direction,
-    lambert,
-    remove_overexposure,
-    total,
-)
+from stages.olat.pixel_fit.paper_forms import correlation, correlation_normal, gradient_direction, lambert, remove_all
 from stages.olat.pixel_fit.result_layout import (
     ALBEDO_D,
     ALBEDO_S,
@@ -32,6 +27,7 @@ from stages.olat.pixel_fit.result_layout import (
     NORMAL,
     NORMAL_D,
     NORMAL_S,
+    REMOVED,
     RESIDUAL,
     ROUGHNESS,
     SIGMA,
@@ -102,10 +98,7 @@ def fit_pixel(cross, parallel, w, o, area, energy, gains, settings, workspace, o
     count = energy.size
     level = settings.saturation
     if settings.remove and level < np.inf:
-        for c in range(3):
-            delta = kind(max(np.mean(parallel[c]), 0.0))
-            remove_overexposure(cross[c], level, workspace.front, delta)
-            remove_overexposure(parallel[c], level, workspace.front, delta)
+        remove_all(cross, parallel, settings, workspace.front, out[REMOVED:])
         level = np.inf
     bad, clipped, top_d, top_s = separate(cross, parallel, energy, gains, settings, kind(level), workspace)
     flag = BAD_SAMPLES if bad > BAD_SHARE * count else GOOD
@@ -116,7 +109,8 @@ def fit_pixel(cross, parallel, w, o, area, energy, gains, settings, workspace, o
         return 0.0, 0
 
     if settings.gradient:
-        _gradient(workspace, w, o, area, flag, out)
+        n = _gather(workspace, w, area, (o[0], o[1], o[2]), (o[0], o[1], o[2]), False)
+        gradient_maps(n, workspace, w, o, area, flag, out)
         return 0.0, 0
 
     # diffuse
@@ -226,19 +220,10 @@ def _unsure(flag, albedo, width, variance, large, small, out):
 
 
 @kernel(error_model="numpy")
-def _gradient(workspace, w, o, area, flag, out):
-    """Ma et al. 2007: normals from the three gradients, albedos from the sums; no lobe, no refinement."""
-    x, y, z, found = gradient_direction(workspace.diffuse, workspace.ok, w, area)
-    n = (x, y, z) if found else (o[0], o[1], o[2])
-    x, y, z, shines = gradient_direction(workspace.specular, workspace.ok, w, area)
-    x, y, z = x + o[0], y + o[1], z + o[2]
-    size = math.sqrt(x * x + y * y + z * z)
-    m = (x / size, y / size, z / size) if shines and size > 1e-6 else n
-    for k in range(3):
-        out[NORMAL_D + k], out[NORMAL_S + k], out[NORMAL + k] = n[k], m[k], n[k]
-        out[ALBEDO_D + k] = max(total(workspace.rgb[k], workspace.ok, area) / math.pi, 0.0)
-    out[ALBEDO_S] = max(total(workspace.specular, workspace.ok, area), 0.0)
-    out[FLAG] = flag if found else TOO_FEW
+def _brightest(top, large, small, frame, o):
+    """Albedo of a lobe no brighter at its peak than the brightest sample extrapolated over the `NEAREST` widths allowed."""
+    facing = max(frame[2, 0] * o[0] + frame[2, 1] * o[1] + frame[2, 2] * o[2], VIEW_FLOOR)
+    return top * math.exp(NEAREST * NEAREST) * 4.0 * math.pi * min(large * small, WIDEST * WIDEST) * facing
 
 
 @kernel(error_model="numpy")
@@ -268,7 +253,7 @@ def _specular(n, w, o, area, settings, n_d, solved, top_d, workspace, out):
     if settings.specular_fit != JOINT:
         tie, tied, solved = FIXED, (x, y, z), False
     frame_about(x, y, z, frame)
-    norm, passes, order, held, unsure_albedo, unsure_width = 0.0, 0, 1.0, 0.0, 1.0, 1.0
+    norm, passes, order, ended, unsure_albedo, unsure_width = 0.0, 0, 1.0, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0), 1.0, 1.0
     flag = SATURATED if clipped > 0.5 * whole else GOOD
     light_sum, light_squares = strong(light, use, kind(max(FAINTEST * top, CERTAIN * noise)))
     fits = light_sum * light_sum >= EFFECTIVE_LIGHTS * light_squares
@@ -280,8 +265,8 @@ def _specular(n, w, o, area, settings, n_d, solved, top_d, workspace, out):
         values(settings.lobe, frame, shape, o, half, incident, g)
         copy1(use, weight)
     else:
-        norm, passes, order, held = fit_lobe(settings, o, tied, tie, solved, half, incident, light, floor, use, areas, cosine,
-                                             weight, g, top, noise, frame, shape, rho, equations, workspace)  # fmt: skip
+        norm, passes, order, ended = fit_lobe(settings, o, tied, tie, solved, half, incident, light, floor, use, areas, cosine,
+                                              weight, g, top, noise, frame, shape, rho, equations, workspace)  # fmt: skip
     rho[0] = linear_albedo(g, light, weight, floor) if order == 1.0 else rho[0]
     large, small, angle = widths(shape)
     if not (math.isfinite(large) and math.isfinite(small) and math.isfinite(rho[0]) and math.isfinite(frame[2, 0])):
@@ -289,13 +274,12 @@ def _specular(n, w, o, area, settings, n_d, solved, top_d, workspace, out):
     if large > WIDEST or not rho[0] > 0:
         flag = NO_LOBE
     elif fits and flag == GOOD:
+        form = doubt(settings, light_sum * light_sum / light_squares, frame, shape, rho[0], ended[0], o, tied, half, incident,
+                     light, floor, use, g, top, noise, workspace)  # fmt: skip
         flag, unsure_albedo, unsure_width, out[STD_NORMAL_S] = determined(
-            settings, frame, shape, rho[0], order, norm, equations, held, o, half, incident, light, floor, use, weight, g, top,
-            tie < 0)  # fmt: skip
-    if fits and flag != GOOD and flag != SATURATED:  # no brighter at its peak than the brightest sample extrapolated so far
-        facing = max(frame[2, 0] * o[0] + frame[2, 1] * o[1] + frame[2, 2] * o[2], VIEW_FLOOR)
-        width = min(large * small, WIDEST * WIDEST)
-        rho[0] = min(rho[0], top * math.exp(NEAREST * NEAREST) * 4.0 * math.pi * width * facing)
+            frame, shape, rho[0], order, ended, equations, form, half, light, floor, use, weight, g, top, tie < 0)  # fmt: skip
+    found, bounded = rho[0], fits and flag != GOOD and flag != SATURATED
+    rho[0] = min(found, _brightest(top, large, small, frame, o)) if bounded else found
     out[ALBEDO_S] = rho[0]
     out[SIGMA], out[SIGMA + 1] = large, small
     out[ROUGHNESS] = (large * small) ** 0.25
@@ -305,7 +289,7 @@ def _specular(n, w, o, area, settings, n_d, solved, top_d, workspace, out):
             out[TANGENT + k] = math.cos(angle) * frame[0, k] + math.sin(angle) * frame[1, k]
     n_s = (frame[2, 0], frame[2, 1], frame[2, 2])
     zeta = 2 * noise + 0.01 * top
-    square, data = specular_maps(workspace, n, g, rho[0], zeta, area, w, n_s, out)
+    square, data = specular_maps(workspace, n, g, rho[0], found, zeta, area, w, n_s, out)
     if settings.printed_maps:
         printed_maps(workspace.specular, workspace, w, n_s, zeta, out, True)
     in_lobe = max(whole * whole / squares, 1.0)

@@ -25,8 +25,11 @@ MAPS = {
     "std_diffuse_albedo": ("Y",),
     "std_specular_albedo": ("Y",),
     "std_sigma": ("Y",),
+    "removed": ("cross", "parallel"),
 }
 """Maps of one camera and their channels, in the order of a pixel's row of results."""
+ON_REQUEST = ("removed",)
+"""Those that only an option asks for: `overexposure=remove`."""
 
 
 def map_slices() -> dict[str, slice]:
@@ -49,4 +52,5 @@ INTER_D, INTER_S, RESIDUAL = (_AT[n] for n in ("interreflection_d", "interreflec
 FLAG = RESIDUAL + 1
 STD_NORMAL_D, STD_NORMAL_S, STD_NORMAL = (_AT[f"std_{n}"] for n in ("diffuse_normal", "specular_normal", "normal"))
 STD_ALBEDO_D, STD_ALBEDO_S, STD_SIGMA = (_AT[f"std_{n}"] for n in ("diffuse_albedo", "specular_albedo", "sigma"))
-WIDTH = STD_SIGMA + 1
+REMOVED = _AT["removed"]
+WIDTH = REMOVED + 2

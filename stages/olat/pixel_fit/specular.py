@@ -14,6 +14,7 @@ from pipeline.kernels import scratch
 from pipeline.kernels.compiling import kernel
 from pipeline.kernels.numerics import FAST, ONE, ZERO, cholesky_solve, copy1, copy2
 from pipeline.rig.lobes import normal_equations
+from stages.olat.pixel_fit.normal_matrix import inverse_form
 
 LOBE_FRACTION = 0.05  # of the brightest sample: below it noise, not the lobe, would weigh the half vectors
 LEAST_COSINE = np.float32(0.05)  # h·o below it is all but opposite the view: no lobe of a surface that is seen
@@ -168,7 +169,8 @@ def optimise(lobe, frame, shape, rho, o, h, i, light, floor, weight, isotropic, 
 
     light, floor, weight [N]: samples, lower bounds, weights; isotropic: A = B and C = 0; prior: stiffness (in units of the
     weighted square residual) that holds n to `n_d`; matrix [6, 6]: left with the normal equations at the end, without B and
-    with C's place taken by rho's where isotropic. Returns (cost over the data's square norm, gradient norm, passes).
+    with C's place taken by rho's where isotropic. Returns (by how much a Newton step would still lower twice the cost, gradient
+    norm, passes).
     """
     gradient = scratch.vector(6)
     matrix2, gradient2 = scratch.matrix(6, 6), scratch.vector(6)
@@ -218,7 +220,7 @@ def optimise(lobe, frame, shape, rho, o, h, i, light, floor, weight, isotropic, 
             damping = max(8 * damping, 1e-4)
             if damping > 1e6:
                 break
-    return cost / size, norm, passes
+    return inverse_form(matrix, gradient, n), norm, passes
 
 
 @kernel(fastmath=FAST, error_model="numpy")

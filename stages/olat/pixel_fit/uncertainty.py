@@ -11,8 +11,8 @@ import math
 from pipeline.kernels.compiling import kernel
 from pipeline.kernels.numerics import FAST, ONE, ZERO, cholesky_solve
 from pipeline.kernels.scratch import matrix, vector
-from pipeline.rig.lobes import normal_equations
 from pipeline.rig.map_flags import GOOD, OUTSIDE, TOO_FEW
+from stages.olat.pixel_fit.mixed_tangents import SIZE
 from stages.olat.pixel_fit.specular import widths
 
 SURE = 0.15
@@ -23,8 +23,6 @@ NEAREST = 1.2
 is said of the peak is more extrapolated than seen."""
 GRAIN = 1e-3
 """Of the brightest sample: the standard deviation that half floats and the lobe's own form leave at best."""
-UNSETTLED = 1e-3
-"""Gradient norm, data of unit norm, of a fit that ended on the way; float32 and few lights leave up to 3e-4."""
 ONE_WAY = 0.75  # order of a pixel's tangents below which it has no one tangent
 UNDETERMINED = 1e6  # standard deviation of what the samples do not determine
 
@@ -75,17 +73,14 @@ def _noise(g, rho, light, floor, weight):
 
 
 @kernel(error_model="numpy")
-def deviation(equations, n, shape, rho, light, floor, weight, g, tied, fixed, top):
+def deviation(equations, n, shape, rho, variance, tied, fixed):
     """Standard deviations: the largest of the log widths and the log albedo, the albedo's, the widths' (root mean square).
 
     `UNDETERMINED` where the samples leave one free.
 
-    equations [6, 6]: normal equations of n parameters: d1, d2, A, rho of a round lobe (4), d1, d2, A, B, C, rho (6); tied: what
-    a tie to n_d added to the first two, which is taken out: only the samples tell; fixed: the normal was given; top: brightest
-    sample; g [N]: the lobe's values, see `specular.optimise` for the rest.
+    equations [6, 6]: normal equations of n parameters: d1, d2, A, rho of a round lobe (4), d1, d2, A, B, C, rho (6); variance:
+    a sample's; tied: what a tie to n_d added to the first two, which is taken out: only samples tell; fixed: n was given.
     """
-    square, count = _noise(g, light.dtype.type(rho), light, floor, weight)
-    variance = max(square / max(count - n, 1.0), (GRAIN * top) ** 2)
     scale, system, right, out = vector(6), matrix(6, 6), vector(6), vector(6)
     for k in range(2):
         if fixed:
@@ -129,10 +124,8 @@ def _root(variance):
 
 
 @kernel(error_model="numpy")
-def tilt_deviation(equations, n, shape, rho, light, floor, weight, g, top):
+def tilt_deviation(equations, n, variance):
     """Root mean square angle (rad) by which noise turns the lobe's normal, ties to n_d included; arguments as `deviation`'s."""
-    square, count = _noise(g, light.dtype.type(rho), light, floor, weight)
-    variance = max(square / max(count - n, 1.0), (GRAIN * top) ** 2)
     right, out, total = vector(6), vector(6), 0.0
     system = matrix(6, 6)
     for which in range(2):
@@ -211,12 +204,13 @@ def _width_slope(shape, wide, out):
 
 
 @kernel(error_model="numpy")
-def determined(
-    settings, frame, shape, rho, order, norm, equations, held, o, half, incident, light, floor, use, weight, g, top, fixed
-):
+def determined(frame, shape, rho, order, ended, equations, form, half, light, floor, use, weight, g, top, fixed):
     """GOOD where the lights tell the lobe that was fitted to them; OUTSIDE where its peak lies beyond them; else TOO_FEW.
 
-    With it the standard deviations of the log albedo and the log widths, and the angle (rad) by which noise turns the normal.
+    ended: `lobe_fit.fit_lobe`'s; form: deviation of the log albedo by what other forms of lobe fit as well
+    (`form_evidence.doubt`); fixed: the normal was given. A fit counts as ended where a Newton step would lower its cost by less
+    than one deviation of one parameter does. With the flag come the standard deviations of the log albedo and the log widths,
+    and the angle (rad) by which noise turns the normal.
     """
     large, small, angle = widths(shape)
     axes = matrix(3, 3)
@@ -228,12 +222,18 @@ def determined(
     peak = nearest(half, use, axes, large, small if order > ONE_WAY else large)
     if peak > NEAREST:
         return OUTSIDE, 1.0, 1.0, math.pi
-    n = 4 if shape[0] == shape[1] and shape[2] == 0.0 else 6
-    if order != 1.0:  # tangents mix: judged as one lobe of these widths
-        n, held, norm, gradient = 6, 0.0, 0.0, vector(6)
-        normal_equations(settings.lobe, frame, shape, rho, o, half, incident, light, floor, weight, equations, gradient)
-    tilt = 0.0 if fixed else tilt_deviation(equations, n, shape, rho, light, floor, weight, g, top)
-    unsure, albedo, width = deviation(equations, n, shape, rho, light, floor, weight, g, held, fixed, top)
-    if unsure < SURE and not norm > UNSETTLED:
+    held, left, worst, albedo, width, tilt = ended
+    mixed = worst > 0.0
+    n = SIZE if mixed else (4 if shape[0] == shape[1] and shape[2] == 0.0 else 6)
+    square, count = _noise(g, light.dtype.type(rho), light, floor, weight)
+    variance = max(square / max(count - n, 1.0), (GRAIN * top) ** 2)
+    if mixed:
+        unsure, albedo, width = _root(worst * variance), _root(albedo * variance), _root(width * variance)
+        tilt = min(math.sqrt(tilt * variance), math.pi)
+    else:
+        tilt = 0.0 if fixed else tilt_deviation(equations, n, variance)
+        unsure, albedo, width = deviation(equations, n, shape, rho, variance, held, fixed)
+    albedo = math.sqrt(albedo * albedo + form * form)
+    if max(unsure, albedo) < SURE and left <= variance:
         return GOOD, albedo, width, tilt
     return (OUTSIDE if peak > 0.5 * NEAREST else TOO_FEW), albedo, width, tilt

@@ -9,7 +9,8 @@ import torch
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
-from ..render_view import LAYER, LEAST_ALPHA, Rendered
+from ..pixel_attributes import LEAST_ALPHA
+from ..render_view import LAYER, Rendered
 from ..views.view import View
 
 SEEN = 0.5  # opacity from which a pixel shows the object and not its outline
@@ -61,8 +62,8 @@ def samples_of(rendered: Rendered, view: View) -> Samples:
     found = at(image.reshape(height, width, 4), pixels[rows])
     radiance = found[:, :3] / np.maximum(found[:, 3:], LEAST_ALPHA)
     place = centre, view.world_to_camera, view.intrinsics, view.size
-    values = (v.astype(np.float32) for v in (pixels[rows], facing[rows], radiance))
-    return Samples(*place, rows, *values)
+    single = [v.astype(np.float32) for v in (pixels[rows], facing[rows], radiance)]
+    return Samples(*place, rows, *single)
 
 
 def at(image: NDArray, pixels: NDArray) -> NDArray[np.float32]:

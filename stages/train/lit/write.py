@@ -16,8 +16,9 @@ from pipeline.splats.cloud import SplatCloud, turned_quaternions
 from pipeline.splats.splat_ply import write_splat_ply
 from pipeline.splats.spz import representable, write_spz
 
+from ..pixel_attributes import LEAST_ALPHA
 from ..rasterize import rasterize
-from ..render_view import LEAST_ALPHA, SCREEN_FILTER, Rendered
+from ..render_view import SCREEN_FILTER, Rendered
 from ..renderer import Renderer
 from ..splats.gaussians import Splats, to_numpy
 from ..views.source_views import SourceView

@@ -11,6 +11,8 @@ from ..initialise.sampling import SurfaceSamples
 
 ROUGHNESS_FLOOR = 0.08  # r_min, docs/physics.md: sharper lobes than this alias in the prefiltered cube
 IOR_LOW = 1.3  # eta = 1.3 + sigmoid (PhyGaP 9.1, with its slip mended)
+RANGES = ((0.0, 1.0), (0.0, 1.0), (ROUGHNESS_FLOOR, 1 - ROUGHNESS_FLOOR), (IOR_LOW, 1.0))  # least value and span of opacity,
+# albedo, roughness and IoR
 PER_SPLAT = ("anchor", "position", "normal", "log_scale", "opacity", "albedo", "roughness_offset", "ior_offset")
 ACTIVATED = ("normal", "log_scale", "opacity", "albedo", "roughness_offset", "ior_offset", "roughness", "ior")
 OPTIONAL = ("indirect",)  # per splat too, where there are any: `indirect.harmonics`
@@ -87,7 +89,7 @@ class SplatModel:
         if all(t[name].device.type == "cpu" and t[name].dtype == torch.float32 for name in ACTIVATED):
             from .activation import Activation
 
-            return Splats(t["position"], *Activation.apply(*(t[name] for name in ACTIVATED)))
+            return Splats(t["position"], *Activation.apply(RANGES, *(t[name] for name in ACTIVATED)))
         return self.activated_plainly()
 
     def activated_plainly(self) -> Splats:

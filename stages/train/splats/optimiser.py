@@ -66,6 +66,8 @@ class SurfaceAdam:
         self.first: dict[str, torch.Tensor] = {}
         self.second: dict[str, torch.Tensor] = {}
         self.steps: dict[str, int] = {}
+        self.not_finite: dict[str, torch.Tensor] = {}
+        """By tensor, int64 [2]: how many entries of its gradients were not finite, and the first step that had one."""
 
     @torch.no_grad()
     def step(
@@ -78,7 +80,7 @@ class SurfaceAdam:
         """One update of every tensor that has a gradient, in place; gradients are cleared.
 
         Args:
-            tensors: by name of its rule; a non-finite gradient entry counts as 0.
+            tensors: by name of its rule; a non-finite gradient entry counts as 0, and in `not_finite`.
             rate_scale: factor of each rule's rate by name, "" for the others.
             graph: over which updates of per-splat tensors are diffused; None: they are not.
             diffusion_scale: factor of the rules' diffusion rounds.
@@ -88,11 +90,15 @@ class SurfaceAdam:
                 continue
             rule = self.rules[name]
             gradient, tensor.grad = tensor.grad, None
+            lost = gradient.numel() - torch.isfinite(gradient).sum()  # stays on the device: nothing waits for it
             if name not in self.first or self.first[name].shape != tensor.shape:
                 self.first[name] = torch.zeros_like(tensor)
                 self.second[name] = torch.zeros_like(tensor)
                 self.steps[name] = 0
             self.steps[name] += 1
+            count, since = self.not_finite.get(name, lost.new_zeros(2))
+            first = torch.where((count == 0) & (lost > 0), self.steps[name], since)
+            self.not_finite[name] = torch.stack((count + lost, first))
             together = bool(rule.diffusion) and gradient.ndim > 1
             update = _update(self.first[name], self.second[name], gradient, self.steps[name], together)
             rounds = round(rule.diffusion * diffusion_scale)
@@ -118,8 +124,9 @@ class SurfaceAdam:
 
     def state(self) -> dict[str, Any]:
         """Everything a resume needs."""
-        return {"first": self.first, "second": self.second, "steps": self.steps}
+        return {"first": self.first, "second": self.second, "steps": self.steps, "not_finite": self.not_finite}
 
     def load(self, state: dict[str, Any]) -> None:
         """Take over a saved state."""
         self.first, self.second, self.steps = state["first"], state["second"], dict(state["steps"])
+        self.not_finite = dict(state.get("not_finite", {}))

@@ -1,5 +1,5 @@
 """Numba kernels over single splats: activation and its adjoint, rows in and out, Adam. Their twins in torch are beside the
-callers: gaussians.py, activation.py, optimiser.py, densify.py, albedo_light_scale.py."""
+callers: gaussians.py, taken_rows.py, optimiser.py, densify.py, albedo_light_scale.py."""
 
 from __future__ import annotations
 

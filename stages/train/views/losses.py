@@ -42,7 +42,7 @@ def radiance_loss(predicted: torch.Tensor, target: torch.Tensor, weight: torch.T
 
 def radiance_loss_plainly(predicted: torch.Tensor, target: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:
     """`radiance_loss` in torch: the definition."""
-    return weighted_mean(robust(encode(predicted) - encode(target)).mean(-1), weight)
+    return weighted_mean(robust(encode(predicted) - encode(_known(target, weight))).mean(-1), weight)
 
 
 def stokes_loss(predicted: torch.Tensor, target: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:
@@ -54,13 +54,19 @@ def stokes_loss(predicted: torch.Tensor, target: torch.Tensor, weight: torch.Ten
 
 def stokes_loss_plainly(predicted: torch.Tensor, target: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:
     """`stokes_loss` in torch: the definition."""
+    target = _known(target, weight)
     slope = encode_slope(target[:, :1])
     return weighted_mean(robust(slope * (predicted[:, 1:] - target[:, 1:])).mean((-1, -2)), weight)
 
 
 def weighted_mean(values: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:
-    """Sum of weight * value over the sum of weights; 0 for no weight."""
-    return (values * weight).sum() / weight.sum().clamp_min(1e-12)
+    """Sum of weight * value over the sum of weights; 0 for no weight. What has no weight may be NaN or infinite."""
+    return (torch.where(weight > 0, values, 0.0) * weight).sum() / weight.sum().clamp_min(1e-12)
+
+
+def _known(target: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:
+    """The target [P, ...] with 0 where it has no weight: a NaN there would reach the gradient as 0 times NaN."""
+    return torch.where(weight.reshape(-1, *[1] * (target.ndim - 1)) > 0, target, 0.0)
 
 
 def mask_loss(alpha: torch.Tensor, target: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ def splat_entry(path: Path, turn: NDArray[np.float64]) -> dict[str, Any] | None:
 
     turn [3, 3]: to the y-up frame. `position` uint16 over the box from `low` to `high`, `normal` octahedral, `sigma` (half
     floats in uint16), `opacity` bytes, `colour` [N, 48] int8: harmonics, the coefficients of red, green and blue by turns, over
-    `range` [16] of each harmonic.
+    `range` [16] of each harmonic; `white`: the radiance that a colour of 1 stands for.
     """
     if not path.is_file():
         return None
@@ -35,7 +36,10 @@ def splat_entry(path: Path, turn: NDArray[np.float64]) -> dict[str, Any] | None:
     low, high = means.min(0), means.max(0)
     most = np.maximum(np.abs(coefficients).max((0, 2)), 1e-6)
     sigma = np.exp(np.sort(cloud.log_scales[::step], axis=1)[:, 1:].mean(1)) * np.sqrt(step)
+    head = path.read_bytes().partition(b"end_header")[0].decode("latin-1")
+    white = re.search(r"radiance divided by (\S+)", head)
     return {
+        "white": float(white[1]) if white else 1.0,
         "low": low.tolist(), "high": high.tolist(), "range": most.tolist(),
         "position": packed(np.rint((means - low) / np.maximum(high - low, 1e-30) * 65535).astype(np.uint16)),
         "normal": packed(octahedral(normal)),

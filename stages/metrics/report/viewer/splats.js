@@ -24,7 +24,7 @@ class Splats {
     gl.bindVertexArray(null);
     return Object.assign(splats, {
       gl, array, buffer, count, centre, upright, opacity, colour, sigma: Float32Array.from(sigma, floatOf), scale: entry.range.map(x => x / 127),
-      keys: new Float32Array(count), rows: new Float32Array(11 * count), program: new Program(gl, constants, ['splats.vert'], ['splats.frag'])});
+      keys: new Float32Array(count), rows: new Float32Array(11 * count), white: entry.white, program: new Program(gl, constants, ['display.glsl', 'splats.vert'], ['splats.frag'])});
   }
 
   // The discs that face the eye, far ones first, with the colours that leave them towards it; how many.
@@ -61,7 +61,7 @@ class Splats {
     gl.disable(gl.CULL_FACE);
     gl.enable(gl.BLEND);
     gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
-    this.program.use(values);
+    this.program.use({...values, u_white: this.white});
     gl.bindVertexArray(this.array);
     gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, shown);
     gl.bindVertexArray(null);

@@ -4,6 +4,7 @@ layout(location = 1) in vec3 a_upright;
 layout(location = 2) in vec2 a_shape;   // sigma, opacity
 layout(location = 3) in vec3 a_colour;  // sRGB
 uniform mat4 u_view, u_projection;
+uniform float u_exposure, u_white;
 out vec2 v_sigmas;
 out vec4 v_shown;
 
@@ -11,7 +12,7 @@ void main() {
   vec3 helper = abs(a_upright.y) < 0.7 ? vec3(0.0, 1.0, 0.0) : vec3(1.0, 0.0, 0.0);
   vec3 along = normalize(cross(helper, a_upright)), across = cross(a_upright, along);
   v_sigmas = 3.0 * vec2(gl_VertexID & 1, gl_VertexID >> 1) * 2.0 - 3.0;
-  v_shown = vec4(a_colour, a_shape.y);
+  v_shown = vec4(srgb(linear_of(a_colour) * u_white * u_exposure), a_shape.y);
   vec3 place = a_centre + a_shape.x * (v_sigmas.x * along + v_sigmas.y * across);
   gl_Position = u_projection * u_view * vec4(place, 1.0);
 }

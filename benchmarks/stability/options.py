@@ -1,0 +1,90 @@
+"""Every option of the light stage, run from frames to maps and relit: it ends, finite, not black, under the lobe it fitted."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import get_args, get_type_hints
+
+import numpy as np
+
+from benchmarks.stability.processor_time import spent
+from benchmarks.stability.verdicts import Row
+from pipeline.capture import open_capture
+from pipeline.formats.dataset_files import FITTED_LOBE
+from pipeline.formats.images import read_exr
+from pipeline.rig.relighting import relight_maps
+from stages.olat.parameters import OlatParameters
+
+ROOT = Path(__file__).parents[2]
+BRIGHTER = 4.0
+"""How much brighter than under the default the brightest of a thousand pixels may be relit: fireflies are a hundred times."""
+DIM = 0.5  # of the default's mean radiance, relit: what is below it has lost a part of the light
+
+
+def settings() -> list[dict[str, str]]:
+    """The default, then every other value of every option that has a list of them, one at a time."""
+    out: list[dict[str, str]] = [{}]
+    hints = get_type_hints(OlatParameters)
+    for name, default in vars(OlatParameters()).items():
+        values = ("true", "false") if isinstance(default, bool) else get_args(hints[name])
+        out += [{name: str(value)} for value in values if str(value).lower() != str(default).lower()]
+    return [*out, {"lights": "every=2"}, {"overexposure": "remove", "overexposure_gap": "0.05", "overexposure_rounds": "3"}]
+
+
+def rows(capture: Path, dataset: Path) -> Iterator[Row]:
+    """A row for each setting; `capture` is a light stage, `dataset` where the runs go."""
+    standard: tuple[float, float] | None = None
+    for options in settings():
+        row, found = _row(capture, dataset, options, standard)
+        standard = standard or found
+        yield row
+
+
+def _row(
+    capture: Path, dataset: Path, options: dict[str, str], standard: tuple[float, float] | None
+) -> tuple[Row, tuple[float, float] | None]:
+    """One setting, and the mean and the peak of its relit radiance; standard: the default's."""
+    before = spent()
+    given = " ".join(f"olat.{name}={value}" for name, value in options.items())
+    done = subprocess.run(
+        [sys.executable, "-m", "stages", "olat", capture, "--dataset", dataset, "--params", given],
+        cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True,
+    )  # fmt: skip
+    seconds = spent() - before
+    name = ", ".join(f"{k}={v}" for k, v in options.items()) or "default"
+    if done.returncode:
+        last = (done.stderr.strip().splitlines() or ["no word"])[-1]
+        return Row("options", "olat", name, {"cpu_s": seconds}, False, why=last), None
+    output = dataset / "olat" / "current"
+    lobe = json.loads((output / FITTED_LOBE).read_text())["lobe"]
+    bad = [p.name for p in sorted(output.rglob("*.exr")) if not all(np.isfinite(c).all() for c in read_exr(p).values())]
+    mean, peak = relit(capture, output)
+    wanted = options.get("lobe", "ward" if options.get("solver", "closed") != "closed" else lobe)
+    mean_of, peak_of = standard or (mean, peak)
+    faults = [
+        f"{', '.join(bad[:3])} not finite" if bad else "",
+        "relit black" if not mean > 0 else f"relit at {mean / mean_of:.2f} of the default" if mean < DIM * mean_of else "",
+        f"a relit peak {peak / peak_of:.0f} times the default's" if peak > BRIGHTER * peak_of else "",
+        f"maps.json says {lobe}" if lobe != wanted else "",
+    ]
+    figures: dict[str, float | int | str] = {"lobe": lobe, "relit_mean": mean, "relit_peak": peak, "cpu_s": seconds}
+    why = "; ".join(f for f in faults if f)
+    return Row("options", "olat", name, figures, not why, why=why), (mean, peak)
+
+
+def relit(capture: Path, output: Path) -> tuple[float, float]:
+    """Mean and 99.9th percentile of the radiance of a stage's first camera under a sky with one bright spot."""
+    stage = open_capture(capture).light_stage
+    assert stage is not None
+    name = sorted(stage.cameras)[0]
+    sky = np.full((16, 32, 3), 0.2)
+    sky[4, 16] = 50.0
+    image = relight_maps(output / name, stage.cameras[name].camera, sky)
+    lit = image.reshape(-1, 3).mean(1)
+    lit = lit[lit > 0]
+    return (float(lit.mean()), float(np.quantile(lit, 0.999))) if lit.size else (0.0, 0.0)
