@@ -9,7 +9,7 @@ from pipeline.geometry.topology import edges_of
 
 from ..clean import Mesh
 
-ROUNDS = 60  # of means over the neighbours: relief of less than about eight edges goes
+ROUNDS = 15  # of means over the neighbours: relief of less than about four edges goes, and outlines stay where they are
 
 
 def smoothed_where_unseen(mesh: Mesh) -> Mesh:
