@@ -5,6 +5,7 @@ DEVICE ?= auto
 JOBS ?= 1
 DEMO ?= build/demo
 STAGES := decode poses masks olat train mesh relight metrics
+BENCHES := $(addprefix bench-,approximations mesh rasterize shading decode masks olat train light ablation poses)
 
 # A misspelt variable would be ignored without a word.
 VARIABLES := CAPTURE DATASET PARAMS ENVS DEVICE JOBS DRY_RUN YES FULL REPAIR CAPTURES MEMORY PYTHON VENV DEMO
@@ -21,7 +22,7 @@ export CAPTURE DATASET PARAMS ENVS DEVICE JOBS CAPTURES MEMORY DEMO
 SETTINGS = --dataset="$$DATASET" --params="$$PARAMS" --envs="$$ENVS" --device="$$DEVICE" --jobs="$$JOBS" --memory="$$MEMORY"
 OPTIONS = $(if $(CAPTURE),"$$CAPTURE") $(SETTINGS)
 
-.PHONY: all plan inspect report tradeoff batch verify gc $(STAGES) setup demo test test-fast crash-test lint bench bench-train bench-olat bench-rasterize bench-light bench-ablation stability clean help
+.PHONY: all plan inspect report tradeoff batch verify gc $(STAGES) setup demo test test-fast crash-test lint bench $(BENCHES) stability clean help
 .DEFAULT_GOAL := help
 
 all plan inspect report tradeoff $(STAGES): $(READY)
@@ -51,16 +52,16 @@ demo: $(READY)  ## a tiny synthetic capture through every stage
 	$(BIN)/polarfield all "$$DEMO/captures/stage" --dataset "$$DEMO/stage" --device "$$DEVICE"
 	@echo "reports: $$DEMO/views/metrics/current/report.html and $$DEMO/stage/metrics/current/report.html"
 
-# One thread for each fast test, as many at once as there are cores: their arrays are small, and threads that wait for each other
-# cost three times the time.
-FAST = OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 $(BIN)/python -m pytest -m "not slow" -n auto --dist worksteal
+# One thread for each test, as many at once as there are cores: their arrays are small, and threads that wait for each other cost
+# three times the time.
+TESTS = OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal
 
 test: $(READY) lint  ## everything, fast tests first
-	$(FAST)
-	$(BIN)/python -m pytest -m slow
+	$(TESTS) -m "not slow"
+	$(TESTS) -m slow
 
 test-fast: $(READY)  ## under a minute
-	$(FAST)
+	$(TESTS) -m "not slow"
 
 # Every stop is a run of its own: some two thousand of them, a minute a hundred on quiet cores.
 crash-test: $(READY)  ## stop small runs before each of their changes to the disk; needs a C compiler
@@ -71,7 +72,8 @@ lint: $(READY)  ## ruff (rules and format) and mypy
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-bench: bench-rasterize bench-olat bench-train bench-light bench-ablation  ## all benchmarks; CAPTURES=folder of captures with ground truth
+bench: $(VENV)/.bench  ## all benchmarks, then their page; CAPTURES=folder of captures with ground truth
+	$(BIN)/python -m benchmarks $(if $(CAPTURES),--captures "$$CAPTURES")
 
 # What the benchmarks alone need: plots and the solvers to compare with.
 $(VENV)/.bench: $(READY)
@@ -81,8 +83,8 @@ $(VENV)/.bench: $(READY)
 stability: $(READY)  ## stiff and extreme cases, every verdict in docs/stability.md
 	$(BIN)/python -m benchmarks.stability
 
-bench-train bench-olat bench-rasterize bench-light bench-ablation: $(VENV)/.bench
-	$(BIN)/python -m benchmarks.$(subst -,_,$@) $(if $(CAPTURES),--captures "$$CAPTURES")
+$(BENCHES): $(VENV)/.bench
+	$(BIN)/python -m benchmarks --only $(@:bench-%=%) $(if $(CAPTURES),--captures "$$CAPTURES")
 
 clean:  ## caches and the demo; never a dataset
 	rm -rf build .pytest_cache .mypy_cache .ruff_cache

@@ -29,6 +29,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
+from benchmarks.case_store import made_with
 from pipeline.capture import Capture, open_capture
 from pipeline.capture.angle_stack.solve import polariser_design, solve_stack
 from pipeline.capture.mosaic.demosaic import demosaic
@@ -36,6 +37,7 @@ from pipeline.engine.progress import Progress
 from pipeline.engine.stage import StageRun
 from pipeline.formats.images import read_mask, read_stokes, write_stokes
 from pipeline.optics.stokes import degree
+from stages.calib.decode.parameters import DecodeParameters
 
 ORDER = (90.0, 45.0, 135.0, 0.0)
 NOISE = 5e-4
@@ -61,6 +63,7 @@ def main() -> None:
         result["error"] = errors(captures)
         figure(result["error"], options.out / "decode_error.png")
     options.out.mkdir(parents=True, exist_ok=True)
+    result["made"] = made_with(DecodeParameters())
     path.write_text(json.dumps(result, indent=1) + "\n")
     print(json.dumps(result, indent=1))
 

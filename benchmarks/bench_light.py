@@ -4,8 +4,9 @@
 
 DIR holds captures with `gt/` and `gt/relight/` (or the environment variable POLARFIELD_CAPTURES); a bowl of albedo 0.9 is
 rendered beside them (`python -m synth --only bowl`). Shading gets the true shape, IoR, roughness and maps, and the true albedo,
-or, where none is told, the one that makes the captured s0 right: what is left is the error of the light. Two sets of choices:
-all kinds of indirect light with the finest affordable mirror, and all mirrors with traced light. Seconds are of one core's
+or, where none is known, the one that makes the captured s0 right: what is left is the error of the light. Two sets of choices:
+all kinds of indirect light with the finest affordable mirror, and all mirrors with traced light; "traced, sharp" is what
+`relight` does. Seconds are of one core's
 processor time. `training` is what each kind adds to a step and to the rendering of a test view, as PhyGaP prints it (24.1 and
 26.8 %). Writes light.json after every case, and light.png; cases that are there already are kept, if made with these settings.
 """
@@ -34,6 +35,7 @@ from benchmarks.light_truth import CAPTURED, Pixels, Truth, errors, load
 from pipeline.optics.model_names import ANCHOR_PLACES, ANCHOR_WEIGHTS
 from pipeline.shading import LightField, Occlusion, Prefilter, latlong, shade
 from pipeline.shading.gridmap import GridMap
+from pipeline.shading.sharp_shadows import Points, SharpShadows
 from pipeline.shading.transfer import Attachment, Transfer
 
 CAPTURES = ("teapot-lebombo", "spot-venice", "igea-forest", "bowl")
@@ -60,7 +62,7 @@ class Nothing:
 
 
 class Traced(Nothing):
-    """Ours, as relighting has it: rays of the mesh's vertices, or of the pixels."""
+    """Ours without the edges of lamps' shadows: rays of the mesh's vertices, or of the pixels."""
 
     def __init__(self, truth: Truth, own_rays: bool = False) -> None:
         super().__init__(truth)
@@ -80,6 +82,18 @@ class Traced(Nothing):
         """What pixels receive under a map."""
         surface = self.transfer.light(cube)
         return lambda pixels: self.transfer.occlusion(self.tied[id(pixels)], surface)
+
+
+class Sharp(Traced):
+    """Ours, as relighting has it: the bright parts of a map point by point."""
+
+    def under(self, cube: torch.Tensor, light: LightField) -> Occluder:
+        """What pixels receive under a map."""
+        surface = self.transfer.light(cube)
+        shadows = SharpShadows(self.transfer, surface, light)
+        return lambda p: shadows.occlusion(
+            Points.of(p.points, p.normal, p.view, p.roughness, p.ior), self.tied[id(p)], surface
+        )  # fmt: skip
 
 
 class Anchored(Nothing):
@@ -117,6 +131,7 @@ def choices() -> dict[str, tuple[Callable[[Truth], Nothing], str]]:
     out: dict[str, tuple[Callable[[Truth], Nothing], str]] = {
         "none": (Nothing, mirror),
         "traced": (Traced, mirror),
+        "traced, sharp": (Sharp, mirror),
         "sh, ideally learnt": (Learnt, mirror),
     }
     for place in ANCHOR_PLACES:

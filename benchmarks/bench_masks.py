@@ -22,6 +22,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
+from benchmarks.case_store import made_with
 from pipeline.capture import Capture, open_capture
 from pipeline.engine.progress import Progress
 from pipeline.engine.stage import StageRun
@@ -91,7 +92,13 @@ def light_stage_rows(root: Path) -> list[dict]:
 
 def scored(capture: str, method: str, masks: list[np.ndarray], truth: list[np.ndarray], seconds: float) -> dict:
     scores = [iou(m, t) for m, t in zip(masks, truth)]
-    row = {"capture": capture, "method": method, "iou_mean": float(np.mean(scores)), "iou_min": float(np.min(scores))}
+    row = {
+        "made": made_with(MasksParameters()),
+        "capture": capture,
+        "method": method,
+        "iou_mean": float(np.mean(scores)),
+        "iou_min": float(np.min(scores)),
+    }
     return {**row, "s_per_view": seconds / len(truth)}
 
 

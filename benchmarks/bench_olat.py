@@ -18,9 +18,11 @@ from typing import Any
 import numpy as np
 
 from benchmarks import olat_forms, olat_frames, olat_noise, olat_plots, olat_zoo
+from benchmarks.case_store import made_with
 from benchmarks.olat_settings import AT, SETTINGS, timed
 from pipeline.rig.light_table_files import table_from_positions
 from pipeline.rig.solid_angles import solid_angles
+from stages.olat.parameters import OlatParameters
 from stages.olat.pixel_fit.many_pixels import fit
 from stages.olat.pixel_fit.result_layout import FLAG
 from stages.olat.zoo.solvers import SOLVERS
@@ -102,6 +104,7 @@ def main() -> None:
             record["theirs"] = {s: {q: asdict(c) for q, c in cells.items()} for s, cells in theirs.items()}
             record["published"] = olat_zoo.PUBLISHED
             olat_plots.plot_solvers(record, RESULTS / "olat_solvers.png")
+        record["made"] = made_with(OlatParameters())
         kept.write_text(json.dumps(record, indent=1) + "\n")
         print(f"  {part} took {time.perf_counter() - start:.0f} s", flush=True)
     print(f"kept in {RESULTS}, {time.perf_counter() - begin:.0f} s in all")

@@ -23,9 +23,11 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 import pipeline  # noqa: F401 - loads zlib before pycolmap does
 import stages.calib.decode.stage as decode
 import stages.calib.poses.stage as poses
+from benchmarks.case_store import made_with
 from pipeline.capture import open_capture
 from pipeline.capture.naming.files import image_folder
 from pipeline.engine.stage import StageRun
+from stages.calib.poses.parameters import PosesParameters
 
 PLAIN_SIZE = 1600
 
@@ -41,6 +43,7 @@ def main() -> None:
     options = parser.parse_args()
     path = options.out / "poses.json"
     result: dict[str, Any] = json.loads(path.read_text()) if options.more else {}
+    result.pop("made", None)
     if not options.more:
         runs = [ours(options.photographs) for _ in range(2)]
         result = {"ours": runs[0], "same_twice": runs[0]["digest"] == runs[1]["digest"]}
@@ -52,7 +55,7 @@ def main() -> None:
         if isinstance(row, dict) and options.focal:
             row["focal_error_pct"] = [100 * abs(f / options.focal - 1) for f in row["focal_px"]]
     options.out.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(result, indent=1) + "\n")
+    path.write_text(json.dumps({**result, "made": made_with(PosesParameters())}, indent=1) + "\n")
     print(json.dumps(result, indent=1))
     figure(result, options.out / "poses_error.png")
 

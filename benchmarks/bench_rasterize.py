@@ -25,6 +25,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from benchmarks.case_store import made_with
 from stages.train.rasterize import Raster, rasterize
 from stages.train.render_view import LAYER, SCREEN_FILTER
 
@@ -148,6 +149,7 @@ def main() -> None:
     splats, camera = sphere(20_000, 12), view(192, 192, 415.0)
     figures: dict = {"machine": f"{platform.machine()}, {len(os.sched_getaffinity(0))} cores", "torch": torch.__version__}
     figures["load_average"] = os.getloadavg()[0]  # other work on the machine: wall times mean little above 0.5
+    figures["made"] = made_with({"screen_filter": SCREEN_FILTER, "layer": LAYER})
     figures["compile_s"] = compile_seconds()
     print(f"{figures['machine']}; first call with an empty cache: {figures['compile_s']:.1f} s")
     print(f"{'':34}{'median':>9}{'least':>9}{'by core':>9}    must / aim")

@@ -19,6 +19,13 @@ class UserError(Exception):
     status = 2
 
     def __init__(self, file: str | Path, fault: str, remedy: str = "") -> None:
+        """Say what is at fault, what is wrong with it, and what to do.
+
+        Args:
+            file: a path or an option.
+            fault: follows it in the line.
+            remedy: follows the fault; "" where there is none.
+        """
         self.file, self.fault, self.remedy = str(file), fault, remedy
         super().__init__(file, fault, remedy)
 
@@ -28,12 +35,26 @@ class UserError(Exception):
 
 
 def one_line(text: str) -> str:
-    """A text in one line, in which no word is longer than a person reads (a path of 5000 characters, a garbled value)."""
+    """Put a text into one line, in which no word is longer than a person reads (a path of 5000 characters, a garbled value).
+
+    Args:
+        text: of any length.
+
+    Returns:
+        The line; long words lose their middle.
+    """
     return " ".join(w if len(w) <= LONGEST else f"{w[: LONGEST // 2]}...{w[-LONGEST // 2 :]}" for w in text.split())
 
 
 def line_of(error: Exception) -> str:
-    """A fault of the user's, of the disk or of the memory as one line."""
+    """Write a fault of the user's, of the disk or of the memory as one line.
+
+    Args:
+        error: that was caught.
+
+    Returns:
+        The line.
+    """
     if isinstance(error, OSError) and error.strerror:
         name = error.filename if isinstance(error.filename, str | Path) else "polarfield"
         return one_line(f"{name}: {error.strerror}")
@@ -43,7 +64,15 @@ def line_of(error: Exception) -> str:
 
 
 def nearest(name: str, valid: Iterable[str]) -> str:
-    """A remedy for a misspelt name: the valid one nearest to it, and all of them where they are few or none is near."""
+    """Write a remedy for a misspelt name.
+
+    Args:
+        name: as given.
+        valid: names that there are.
+
+    Returns:
+        The valid one nearest to it, and all of them where they are few or none is near.
+    """
     names = {n.lower().strip("-").replace("-", "_"): n for n in valid}
     near = difflib.get_close_matches(name.lower().strip("-").replace("-", "_"), names, 1)
     listed = f"known: {', '.join(names.values())}" if names else "there is none to give"

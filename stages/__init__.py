@@ -10,5 +10,5 @@ STAGES = {
     "relight": "stages.relight",
     "metrics": "stages.metrics",
 }
-FORMATS = ("glb", "usdz", "mtlx", "obj", "mitsuba", "blender", "nerfstudio", "colmap", "splat")
+FORMATS = ("glb", "usdz", "mtlx", "obj", "mitsuba", "blender", "nerfstudio", "colmap", "splat", "maps")
 """What results are exported to."""

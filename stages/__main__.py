@@ -67,7 +67,11 @@ def main() -> None:
 
 
 def stage_main(name: str) -> None:
-    """Entry of `python -m stages.NAME`: one stage alone."""
+    """Run one stage alone, as `python -m stages.NAME`, and exit with its status.
+
+    Args:
+        name: the stage's.
+    """
     sys.exit(run_command(PROGRAM, [name, *sys.argv[1:]]))
 
 

@@ -20,7 +20,15 @@ TEXTURE_BYTES = 130
 
 
 def disk_estimate(capture: Capture, stages: Container[str]) -> list[tuple[str, float]]:
-    """Megabytes that each running stage will leave, roughly: within a factor of two for ordinary objects."""
+    """Estimate what the stages of a capture will leave on disk: within a factor of two for ordinary objects.
+
+    Args:
+        capture: as recognised.
+        stages: those that run.
+
+    Returns:
+        Stage and megabytes, in running order.
+    """
     if capture.light_stage is not None:
         pixels = sum(capture.pixels)
         per_stage = {

@@ -32,9 +32,16 @@ FEWEST_LIGHTS = 4
 def look(
     capture: Capture, steps: Sequence[Step], found: Mapping[str, State], megapixels: float
 ) -> tuple[tuple[str, ...], UserError | None]:
-    """The warnings of stages that are not done yet, and the fault that a run would end with, if any.
+    """Find out what the stages would warn of, before anything long runs.
 
-    megapixels: of frames that may be read for it; at least FEWEST_VIEWS views are.
+    Args:
+        capture: as recognised.
+        steps: its plan.
+        found: how each step stands, by stage.
+        megapixels: of frames that may be read for it; at least FEWEST_VIEWS views are.
+
+    Returns:
+        The warnings of stages that are not done yet, and the fault that a run would end with, if any.
     """
     part, whole = part_of(capture, megapixels * 1e6)
     lines: list[str] = []

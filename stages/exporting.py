@@ -25,9 +25,18 @@ WHITE = 0.995  # quantile of a capture's radiance that 8-bit pictures show as wh
 
 
 def export(dataset: Dataset, to: str, output: str) -> Path:
-    """Write one format of a dataset's results to a folder ("": DATASET-FORMAT beside it); returns the folder.
+    """Copy a dataset's results to a folder, in one format; the folder appears whole or not at all.
 
-    The folder appears whole or not at all. Raises UserError where the stage that makes it has not run, or it exists.
+    Args:
+        dataset: with the stages that make it finished.
+        to: the format, of `FORMATS`.
+        output: the folder; "": DATASET-FORMAT beside the dataset.
+
+    Returns:
+        The folder.
+
+    Raises:
+        UserError: the stage that makes it has not run, or the folder exists.
     """
     folder = Path(output) if output else dataset.root.absolute().with_name(f"{dataset.root.absolute().name}-{to}")
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
@@ -44,7 +53,7 @@ def export(dataset: Dataset, to: str, output: str) -> Path:
 
 
 def _writer(to: str) -> Callable[[Dataset, Path], None]:
-    special = {"nerfstudio": _nerfstudio, "colmap": _colmap, "splat": _splat}
+    special = {"nerfstudio": _nerfstudio, "colmap": _colmap, "splat": _splats, "maps": _maps}
     return special.get(to) or (lambda dataset, folder: _asset(dataset, folder, to))
 
 
@@ -69,8 +78,19 @@ def _asset(dataset: Dataset, folder: Path, to: str) -> None:
             shutil.copyfile(source / name, folder / name)
 
 
-def _splat(dataset: Dataset, folder: Path) -> None:
-    shutil.copyfile(_stage(dataset, "train") / files.GAUSSIANS, folder / "splat.ply")
+def _splats(dataset: Dataset, folder: Path) -> None:
+    from stages.export_splats import export_splats
+
+    train, mesh = _stage(dataset, "train"), dataset.current("mesh")
+    facts = None if mesh is None else mesh.folder / files.ASSET / "asset.json"
+    unit_m = read_json(facts, "run the mesh stage again").get("unit_m") if facts is not None and facts.exists() else None
+    export_splats(train, unit_m, folder)
+
+
+def _maps(dataset: Dataset, folder: Path) -> None:
+    from stages.export_maps import export_maps
+
+    export_maps(_stage(dataset, "decode"), _stage(dataset, "olat"), folder)
 
 
 def _nerfstudio(dataset: Dataset, folder: Path) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import Any
 
 from pipeline.capture import Capture
+from pipeline.capture.view_rules import too_few_views
 
 MEBI = 2**20
 PROGRAM = 80.0  # Python, numpy and this program
@@ -18,7 +19,16 @@ SAMPLE_BYTES = {".exr": 2}  # half floats as they are; others are read as floats
 
 
 def decode(capture: Capture, parameters: Any, jobs: int) -> float:
-    """A view at a time: its files, its Stokes frame, what is written. A light stage's frames are read where they are no EXR."""
+    """Estimate decode: a view at a time; a light stage's frames are read where they are no EXR.
+
+    Args:
+        capture: as recognised.
+        parameters: of the stage.
+        jobs: pieces side by side.
+
+    Returns:
+        MiB at the peak.
+    """
     if capture.light_stage is not None:
         plain = all(c.cross and c.cross[0].suffix.lower() == ".exr" for c in capture.light_stage.cameras.values())
         return PROGRAM if plain else READING + 5
@@ -27,21 +37,50 @@ def decode(capture: Capture, parameters: Any, jobs: int) -> float:
 
 
 def poses(capture: Capture, parameters: Any, jobs: int) -> float:
-    """Given cameras are a table; found ones are COLMAP's pictures and features at `max_size`, on every core."""
+    """Estimate poses: given cameras are a table; found ones are COLMAP's pictures and features at `max_size`, on every core.
+
+    Args:
+        capture: as recognised.
+        parameters: of the stage.
+        jobs: pieces side by side.
+
+    Returns:
+        MiB at the peak.
+    """
     if capture.cameras is not None and not parameters.triangulate:
         return PROGRAM
     return 300.0 + 60 * min(_largest(capture), parameters.max_size**2) / MEBI
 
 
 def masks(capture: Capture, parameters: Any, jobs: int, segmented: bool) -> float:
-    """Masks of all views, as bytes and as distances; colour models of the pictures where they are segmented."""
+    """Estimate masks: of all views, as bytes and as distances; colour models of the pictures where they are segmented.
+
+    Args:
+        capture: as recognised.
+        parameters: of the stage.
+        jobs: pieces side by side.
+        segmented: masks are made, not given.
+
+    Returns:
+        MiB at the peak.
+    """
     if capture.light_stage is not None and not segmented:
         return PROGRAM + 5
     return 230.0 + 13 * sum(capture.pixels) / MEBI + (130.0 if segmented else 0.0)
 
 
 def olat(capture: Capture, parameters: Any, jobs: int, compiled: bool) -> float:
-    """Two bands of samples for each camera that is fitted beside another; the program that fits, or LLVM that compiles it."""
+    """Estimate olat: two bands of samples for each camera that is fitted beside another; the program that fits.
+
+    Args:
+        capture: a light stage.
+        parameters: of the stage.
+        jobs: pieces side by side.
+        compiled: its kernels are; else LLVM, which compiles them, counts too.
+
+    Returns:
+        MiB at the peak.
+    """
     assert capture.light_stage is not None
     cameras = list(capture.light_stage.cameras.values())
     samples = max(
@@ -53,17 +92,44 @@ def olat(capture: Capture, parameters: Any, jobs: int, compiled: bool) -> float:
 
 
 def train(capture: Capture, parameters: Any, jobs: int) -> float:
-    """torch; every view with its Stokes frame, mask and rays; the splats with their moments and buffers of a step."""
+    """Estimate train: torch; views with Stokes frame, mask and rays; splats with their moments and the buffers of a step.
+
+    Args:
+        capture: as recognised.
+        parameters: of the stage.
+        jobs: pieces side by side.
+
+    Returns:
+        MiB at the peak.
+    """
     return 650.0 + 100 * sum(capture.pixels) / MEBI + 3e-3 * parameters.max_splats
 
 
 def mesh(capture: Capture, parameters: Any, jobs: int) -> float:
-    """open3d; depths of all views, and the voxels near the surface."""
+    """Estimate mesh: open3d; depths of all views, and the voxels near the surface.
+
+    Args:
+        capture: as recognised.
+        parameters: of the stage.
+        jobs: pieces side by side.
+
+    Returns:
+        MiB at the peak.
+    """
     return 390.0 + 55 * sum(capture.pixels) / MEBI + (150.0 if parameters.poisson else 0.0)
 
 
 def relight(capture: Capture, parameters: Any, jobs: int) -> float:
-    """A light stage: its maps. A model: open3d's tree of the mesh, the maps filtered at every roughness, a view's buffers."""
+    """Estimate relight: of a light stage, its maps; of a model, the mesh's tree, the maps filtered at every roughness, a view.
+
+    Args:
+        capture: as recognised.
+        parameters: of the stage.
+        jobs: pieces side by side.
+
+    Returns:
+        MiB at the peak.
+    """
     largest = _largest(capture)
     if capture.light_stage is not None:
         return 280.0 + 250 * largest / MEBI
@@ -71,11 +137,18 @@ def relight(capture: Capture, parameters: Any, jobs: int) -> float:
 
 
 def metrics(capture: Capture, parameters: Any, jobs: int) -> float:
-    """The report's pictures; where there is a true mesh, open3d and the sampled points."""
-    if capture.light_stage is not None:
-        return 95.0 + 60 * _largest(capture) / MEBI
-    solid = capture.truth.root.joinpath("gt", "mesh.ply").exists()
-    return (150.0 if not solid else 160.0) + 60 * _largest(capture) / MEBI
+    """Estimate metrics: torch, for what the report lets one turn, and the pictures; open3d beside it where there is a mesh.
+
+    Args:
+        capture: as recognised.
+        parameters: of the stage.
+        jobs: pieces side by side.
+
+    Returns:
+        MiB at the peak.
+    """
+    solid = capture.light_stage is None and too_few_views(capture) is None
+    return (550.0 if solid else 345.0) + 60 * _largest(capture) / MEBI
 
 
 def _largest(capture: Capture) -> int:

@@ -21,7 +21,14 @@ BUMP_SLOPE = 0.06  # root mean square slope of the bumps (rad), finer than a pix
 
 
 def scenes(meshes: list[Path]) -> dict[str, Subject]:
-    """The captures by name: `brushed`, tangents that run round the vase; `rubble`, each face its own; one for each mesh."""
+    """Make the captures' subjects: `brushed`, tangents that run round the vase; `rubble`, each face its own; one for each mesh.
+
+    Args:
+        meshes: PLY files.
+
+    Returns:
+        Name to subject.
+    """
     common = {"sigma": WIDTHS, "specular": 0.35, "noise": NOISE, "clip": CLIP}
     found = {
         "brushed": Subject(vase(), **common),  # type: ignore[arg-type]
@@ -31,7 +38,16 @@ def scenes(meshes: list[Path]) -> dict[str, Subject]:
 
 
 def build(output: Path, name: str, meshes: list[Path], size: int, lights: int, seed: int) -> None:
-    """Write the capture `name` of `scenes` to `output`."""
+    """Write one of the captures of `scenes`.
+
+    Args:
+        output: folder.
+        name: of the capture.
+        meshes: PLY files that `scenes` is given.
+        size: of the frames, pixels.
+        lights: how many.
+        seed: of noise and sampling.
+    """
     make(output, size=size, lights=lights, spp=SPP, seed=seed, subject=scenes(meshes)[name])
 
 

@@ -11,7 +11,14 @@ Map = NDArray[np.float32]
 
 
 def directions(height: int) -> NDArray[np.float64]:
-    """World directions [height, 2 height, 3] of the texel centres: u = atan2(x, -z) / 2 pi, v = acos(y) / pi."""
+    """Compute the directions of a latitude-longitude map's texels: u = atan2(x, -z) / 2 pi, v = acos(y) / pi.
+
+    Args:
+        height: texels; the width is twice that.
+
+    Returns:
+        Unit, world, y up. [height, 2 height, 3]
+    """
     width = 2 * height
     azimuth = (np.arange(width) + 0.5) * (2 * np.pi / width)
     polar = (np.arange(height) + 0.5) * (np.pi / height)

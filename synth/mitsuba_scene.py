@@ -15,7 +15,16 @@ GEOMETRY_SPP = 16  # samples a pixel of normals, depths and albedos, which carry
 
 
 def load_mesh(shape: Shape, bsdf: dict[str, Any], textured: bool = True) -> Any:
-    """A Mitsuba mesh with the shape's own normals and, where `textured`, texture coordinates."""
+    """Make a Mitsuba mesh with a shape's own normals.
+
+    Args:
+        shape: the surface.
+        bsdf: Mitsuba's dictionary of the material.
+        textured: keep the texture coordinates.
+
+    Returns:
+        The mesh.
+    """
     import mitsuba as mi
 
     properties = mi.Properties()
@@ -33,9 +42,13 @@ def load_mesh(shape: Shape, bsdf: dict[str, Any], textured: bool = True) -> Any:
 
 
 def texture(albedo: NDArray[np.float32]) -> dict[str, Any]:
-    """A linear RGB texture whose row r covers v = (r + 1/2) / rows (Mitsuba's v runs upwards: flip).
+    """Describe a linear RGB texture to Mitsuba; row r covers v = (r + 1/2) / rows (Mitsuba's v runs upwards: it is flipped).
 
-    For one use only: a spectral variant converts the bitmap in place when it is loaded.
+    Args:
+        albedo: linear, 0..1. [H, W, 3]
+
+    Returns:
+        Mitsuba's dictionary; for one use only: a spectral variant converts the bitmap in place when it is loaded.
     """
     import mitsuba as mi
 
@@ -43,7 +56,16 @@ def texture(albedo: NDArray[np.float32]) -> dict[str, Any]:
 
 
 def sensor(opengl_camera_to_world: NDArray, width: int, height: int, focal_px: float) -> dict[str, Any]:
-    """Perspective sensor with square pixels, a centred principal point and a box filter (no light leaks between pixels)."""
+    """Describe a camera to Mitsuba: square pixels, centred principal point, box filter (no light leaks between pixels).
+
+    Args:
+        opengl_camera_to_world: rigid. [4, 4]
+        width, height: pixels.
+        focal_px: focal length, pixels.
+
+    Returns:
+        Mitsuba's dictionary.
+    """
     import mitsuba as mi
 
     return {
@@ -59,7 +81,21 @@ def sensor(opengl_camera_to_world: NDArray, width: int, height: int, focal_px: f
 
 
 def render(scene: Any, view: Any, integrator: dict[str, Any], seed: int, spp: int) -> dict[str, NDArray[np.float32]]:
-    """Render and return the film's channels by name, each [H, W]; `spp` samples a pixel (Mitsuba keeps it in the sensor)."""
+    """Render an image with Mitsuba.
+
+    Args:
+        scene: Mitsuba's.
+        view: its sensor.
+        integrator: Mitsuba's dictionary.
+        seed: of the sampling.
+        spp: samples a pixel (Mitsuba keeps it in the sensor).
+
+    Returns:
+        The film's channels by name. [H, W] each
+
+    Raises:
+        RuntimeError: Mitsuba names another number of channels than it returns.
+    """
     import mitsuba as mi
 
     loaded = mi.load_dict(integrator)

@@ -19,7 +19,18 @@ VIEW = (0.2, 0.1, 1.0)
 
 @dataclass
 class Pixels:
-    """Samples cross, parallel [N, P, 3] and what they were made from, [P, ...]."""
+    """Samples of P light-stage pixels under N lights, and what they were made from.
+
+    Fields:
+        rig: the lights.
+        cross, parallel: radiance behind crossed and parallel polarisers. [N, P, 3]
+        view: unit, to the camera. [P, 3]
+        normal: unit. [P, 3]
+        tangent: unit, direction of the larger width. [P, 3]
+        sigma: the lobe's widths. [P, 2]
+        albedo: diffuse, linear RGB. [P, 3]
+        specular: albedo of the lobe. [P]
+    """
 
     rig: LightTable
     cross: Float

@@ -9,7 +9,16 @@ GOLDEN_ANGLE = np.pi * (3 - 5**0.5)
 
 
 def orbit(count: int, distance: float, low_deg: float, high_deg: float) -> NDArray[np.float64]:
-    """`count` positions [count, 3] at `distance`, azimuth by the golden angle, elevation evenly in its sine."""
+    """Spread camera positions around the origin: azimuth by the golden angle, elevation evenly in its sine.
+
+    Args:
+        count: how many.
+        distance: from the origin.
+        low_deg, high_deg: range of the elevation.
+
+    Returns:
+        Positions. [count, 3]
+    """
     low, high = np.sin(np.radians([low_deg, high_deg]))
     sine = low + (high - low) * ((np.arange(count) * 7) % count + 0.5) / count
     azimuth = np.arange(count) * GOLDEN_ANGLE
@@ -18,7 +27,15 @@ def orbit(count: int, distance: float, low_deg: float, high_deg: float) -> NDArr
 
 
 def look_at(position: NDArray, target: NDArray | None = None) -> NDArray[np.float64]:
-    """OpenGL camera-to-world [4, 4]: looking along -z at `target` (default the origin), y up."""
+    """Compute the pose of a camera that looks at a place, y up.
+
+    Args:
+        position: of the camera. [3]
+        target: that it looks at; None: the origin. [3]
+
+    Returns:
+        OpenGL camera-to-world (looking along -z). [4, 4]
+    """
     back = position - (0 if target is None else target)
     back = back / np.linalg.norm(back)
     right = np.cross([0.0, 1.0, 0.0], back)
@@ -29,7 +46,14 @@ def look_at(position: NDArray, target: NDArray | None = None) -> NDArray[np.floa
 
 
 def fibonacci_sphere(count: int) -> NDArray[np.float64]:
-    """`count` nearly evenly spaced unit directions [count, 3]."""
+    """Spread directions nearly evenly over the sphere.
+
+    Args:
+        count: how many.
+
+    Returns:
+        Unit directions, from +y to -y. [count, 3]
+    """
     y = 1 - (2 * np.arange(count) + 1) / count
     azimuth = np.arange(count) * GOLDEN_ANGLE
     radius = np.sqrt(1 - y**2)

@@ -29,7 +29,14 @@ SLIP = np.array([0.10, 0.28, 0.52])  # blue, in one swirl
 
 @dataclass(frozen=True)
 class Shape:
-    """A closed triangle mesh, cut along one seam for its texture: vertices and unit normals [V, 3], uv [V, 2], faces [F, 3]."""
+    """A closed triangle mesh, cut along one seam for its texture.
+
+    Fields:
+        vertices: positions. [V, 3]
+        normals: unit, outward. [V, 3]
+        uv: texture coordinates, 0..1. [V, 2]
+        faces: vertex numbers. [F, 3]
+    """
 
     vertices: NDArray[np.float64]
     normals: NDArray[np.float64]
@@ -42,12 +49,26 @@ class Shape:
 
 
 def vase(around: int = 160, along: int = 120) -> Shape:
-    """Fluted vase of height 2 about the origin, y up, as `around` x `along` quads; u runs around, v from foot to bowl."""
+    """Make a fluted vase of height 2 about the origin, y up; u runs around, v from foot to bowl.
+
+    Args:
+        around, along: quads around the axis and along the profile.
+
+    Returns:
+        The mesh.
+    """
     return _turned(around, along, _surface)
 
 
 def bowl(around: int = 96, along: int = 96) -> Shape:
-    """Round bowl of radius 1 about the y axis, open towards +y, as `vase`."""
+    """Make a round bowl of radius 1 about the y axis, open towards +y.
+
+    Args:
+        around, along: quads around the axis and along the profile.
+
+    Returns:
+        The mesh.
+    """
     return _turned(around, along, _bowl_surface)
 
 
@@ -102,7 +123,14 @@ def _bowl_surface(u: NDArray, v: NDArray) -> NDArray[np.float64]:
 
 
 def glaze(height: int = 256) -> NDArray[np.float32]:
-    """Albedo texture [height, 2 height, 3], linear RGB, at uv = ((column + 1/2) / width, (row + 1/2) / height)."""
+    """Compute the vase's albedo at uv = ((column + 1/2) / width, (row + 1/2) / height).
+
+    Args:
+        height: texels; the width is twice that.
+
+    Returns:
+        Linear RGB. [height, 2 height, 3]
+    """
     u = (np.arange(2 * height) + 0.5) / (2 * height)
     v = (np.arange(height)[:, None] + 0.5) / height
     azimuth = 2 * np.pi * u
@@ -113,7 +141,15 @@ def glaze(height: int = 256) -> NDArray[np.float32]:
 
 
 def vertex_normals(vertices: NDArray, faces: NDArray) -> NDArray[np.float64]:
-    """Area-weighted unit vertex normals [V, 3]; 0 for vertices that no face uses."""
+    """Compute vertex normals as area-weighted means of the faces'.
+
+    Args:
+        vertices: positions. [V, 3]
+        faces: vertex numbers. [F, 3]
+
+    Returns:
+        Unit; 0 for vertices that no face uses. [V, 3]
+    """
     corner = vertices[faces]
     face = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     normals = np.zeros_like(vertices)

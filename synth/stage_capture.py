@@ -29,9 +29,14 @@ BOUNCES = 3  # camera, surface, one inter-reflection
 class Subject:
     """What stands on the stage, and how its frames are stored.
 
-    sigma: Beckmann widths along u and v; specular: reflectance of the lobe; textured: tangents follow the texture coordinates
-    (else each face's first edge) and the albedo is `glaze`, else `albedo`; noise: standard deviation of a stored sample; clip:
-    its largest value.
+    Fields:
+        shape: the surface.
+        sigma: Beckmann widths along u and v.
+        specular: reflectance of the lobe.
+        textured: tangents follow the texture coordinates (else each face's first edge) and the albedo is `glaze`.
+        albedo: where it is not textured.
+        noise: standard deviation of a stored sample.
+        clip: largest stored sample.
     """
 
     shape: Shape
@@ -44,7 +49,16 @@ class Subject:
 
 
 def make(output: Path, size: int = 96, lights: int = 60, spp: int = 36, seed: int = 0, subject: Subject | None = None) -> None:
-    """Write the capture to `output`. Frames hold I_d/2 (cross) and I_d/2 + I_s/2 (parallel), irradiance pi per light."""
+    """Write a light-stage capture. Frames hold I_d/2 (cross) and I_d/2 + I_s/2 (parallel), irradiance pi per light.
+
+    Args:
+        output: folder.
+        size: of the frames, pixels.
+        lights: how many.
+        spp: samples a pixel.
+        seed: of noise and sampling.
+        subject: what stands on the stage; None: the vase.
+    """
     import mitsuba as mi
 
     mi.set_variant("scalar_rgb")

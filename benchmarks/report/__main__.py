@@ -9,6 +9,7 @@ import argparse
 import json
 import sys
 from pathlib import Path
+from typing import Any
 
 from benchmarks.report.scatter import scatter
 from benchmarks.report.sections import SECTIONS, Section
@@ -33,9 +34,10 @@ def files() -> dict[Path, str]:
     for name, make in SECTIONS.items():
         path = RESULTS / f"{name}.json"
         if path.is_file():
-            section = make(json.loads(path.read_text(encoding="utf-8")))
+            stored = json.loads(path.read_text(encoding="utf-8"))
+            section = make(stored)
             out |= {PLOTS / f"{plot}.svg": scatter(points, x, y) for plot, points, x, y in section.plots}
-            lines += _lines(name, section)
+            lines += _lines(name, section, how_made(name, stored))
     stability = RESULTS / "stability.json"
     if stability.is_file():
         stored = json.loads(stability.read_text(encoding="utf-8"))
@@ -43,9 +45,23 @@ def files() -> dict[Path, str]:
     return {PAGE: "\n".join(lines), **{path: text for path, text in out.items() if text}}
 
 
-def _lines(name: str, section: Section) -> list[str]:
+TOLD = ("approximations", "mesh", "train", "light")
+"""Results whose sections say themselves what they were made with."""
+
+
+def how_made(name: str, stored: Any) -> str:
+    """On what machine and when a result was made, as far as it was kept."""
+    if name in TOLD:
+        return ""
+    kept = [row.get("made") for row in stored] if isinstance(stored, list) else [stored.get("made")]
+    made = sorted({f"{m['machine']}, {m['commit']}, {m['date']}" for m in kept if m})
+    said = [f"Made on {'; '.join(made)}."] if made else []
+    return " ".join([*said, *(["What it was made with was not kept."] if None in kept else [])])
+
+
+def _lines(name: str, section: Section, made: str) -> list[str]:
     heads, *rows = section.rows
-    out = [f"## {section.title}", "", section.text, ""]
+    out = [f"## {section.title}", "", f"{section.text} {made}".strip(), ""]
     out += [f"![{y} over {x}](images/benchmarks/{plot}.svg)\n" for plot, points, x, y in section.plots if points]
     out += [f"| {' | '.join(heads)} |", "|" + "---|" * len(heads), *(f"| {' | '.join(row)} |" for row in rows), ""]
     return [*out, f"From `benchmarks/results/{name}.json`.", ""]

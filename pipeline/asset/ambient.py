@@ -17,9 +17,15 @@ NEIGHBOURS = 4
 
 
 def sky_seen(mesh: RayMesh, position: NDArray, normal: NDArray, lift: float) -> NDArray[np.float32]:
-    """Cosine-weighted share [T] of the hemispheres of points [T, 3] about their normals that the mesh leaves free.
+    """How much of the hemispheres about points' normals the mesh leaves free, weighted by the cosine.
 
-    lift: rays start so far above the surface (world units).
+    Args:
+        mesh: what hides the sky.
+        position, normal: points and unit normals, world. [T, 3]
+        lift: rays start so far above the surface (world units).
+
+    Returns:
+        Share of a constant sky's light that arrives, 0..1. [T]
     """
     from scipy.spatial import cKDTree
 

@@ -53,11 +53,20 @@ def write_asset(
     facts: dict[str, Any] | None = None,
     done: Callable[[int], None] = lambda count: None,
 ) -> None:
-    """Write every format into `folder`.
+    """Write a textured surface in every format, with asset.json.
 
-    up, unit_m: the capture's axis and metres per unit (None: not known). offset [3]: was taken off all world positions.
-    environment [H, W, 3]: light to start with, y up. facts: more entries of asset.json. done: told of each file.
-    Raises UserError where a file cannot be written.
+    Args:
+        folder: where; made when missing.
+        surface: in world units.
+        up: the capture's up axis.
+        unit_m: metres per world unit; None: not known.
+        offset: was taken off all world positions. [3]
+        environment: light to start with, latitude-longitude, y up. [H, W, 3]
+        facts: more entries of asset.json.
+        done: told of each file.
+
+    Raises:
+        UserError: a file cannot be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
     asset = in_metres(surface, up, unit_m)

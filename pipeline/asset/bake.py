@@ -62,12 +62,15 @@ def bake(
     """Unwrap a mesh and blend views into its textures.
 
     Args:
-        vertices, normals: [V, 3], world; normals unit, outward.
-        faces: [F, 3].
+        vertices, normals: world; normals unit, outward. [V, 3]
+        faces: vertex numbers. [F, 3]
         views: `CHANNELS` values each.
         texel: a texel's side in world units: a pixel's footprint, for textures as sharp as the pictures.
         largest: side of the largest texture (texels).
         advance: told of views gone through, 2 len(views) in all.
+
+    Returns:
+        The surface in its atlas, with its maps.
     """
     atlas = unwrap(vertices, faces, texel, largest)
     position, normal = vertices[atlas.source], normals[atlas.source]

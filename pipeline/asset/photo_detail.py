@@ -22,12 +22,17 @@ CUBE = 32  # texels along a face of the light's cube: the body asks for no more
 
 
 class CapturedLight:
-    """The light that the photographs were taken in, as training found it.
-
-    radiance [H, W, 3]: a latitude-longitude map, y up. up: the capture's up axis. lobe, fresnel: how training shaded.
-    """
+    """The light that the photographs were taken in, as training found it."""
 
     def __init__(self, radiance: Image, up: str, lobe: str = "ggx", fresnel: str = "exact") -> None:
+        """Prefilter the light.
+
+        Args:
+            radiance: a latitude-longitude map, linear, y up. [H, W, 3]
+            up: the capture's up axis.
+            lobe: with which training shaded.
+            fresnel: with which training shaded.
+        """
         import torch
 
         from pipeline.shading import Prefilter, latlong
@@ -64,10 +69,17 @@ class CapturedLight:
 def photo_detail(
     photograph: Image, surface: SurfaceImage, light: CapturedLight, camera: Camera, blur_px: float
 ) -> tuple[Image, Image]:
-    """(log factor on the albedo [H, W, 3], how far each pixel's counts [H, W] in 0..1).
+    """Find what a photograph shows of the albedo beyond a model's resolution.
 
-    photograph [H, W, 3]: linear radiance, of the G-buffer's size. blur_px: the model's resolution, a standard deviation;
-    coarser differences are the model's business.
+    Args:
+        photograph: linear radiance, of the G-buffer's size. [H, W, 3]
+        surface: the view's G-buffer.
+        light: that it was taken in.
+        camera: of the view.
+        blur_px: the model's resolution, a standard deviation, pixels; coarser differences are the model's business.
+
+    Returns:
+        Log of a factor on the albedo [H, W, 3], and how far each pixel's counts, 0..1 [H, W].
     """
     from scipy.ndimage import gaussian_filter
 

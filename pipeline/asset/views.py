@@ -18,9 +18,13 @@ Image = NDArray[np.float32]
 class PropertyView:
     """One view of a surface, 0 where it shows none.
 
-    values [H, W, C]: what is blended (world normals first: X Y Z; then the material's channels). weight [H, W] >= 0: how far
-    each pixel counts. depth [H, W]: along the camera's z, world units. detail [H, W, 3] and detail_weight [H, W], where there
-    are photographs: log of what multiplies the albedo at a scale that `values` do not resolve.
+    Fields:
+        camera: of the view.
+        values: what is blended: world normals X Y Z first, then the material's channels. [H, W, C]
+        weight: >= 0, how far each pixel counts. [H, W]
+        depth: along the camera's z, world units. [H, W]
+        detail: log of what multiplies the albedo at a scale that `values` do not resolve; None: no photograph. [H, W, 3]
+        detail_weight: >= 0, how far each pixel's detail counts. [H, W]
     """
 
     camera: Camera

@@ -45,11 +45,16 @@ class PolariserConfig:
 
 @dataclass(frozen=True)
 class RadiometryConfig:
-    """From stored numbers to linear radiance. Levels are in the file's own numbers (None: the file tells).
+    """From stored numbers to linear radiance: [radiometry]. None: the file decides.
 
-    `saturation` is a fraction of the white level; `exposure_s` maps VIEW (or file name) to seconds; `exif_exposure`: whether
-    exposures that differ between files' headers are divided out (None: unless the pixels contradict them);
-    `dark_frame` and `flat_field` are image files relative to the capture; `white_balance` multiplies R, G, B.
+    Fields:
+        black_level, white_level: in the file's own numbers.
+        encoding: "linear" or "srgb".
+        saturation: share of the white level from which a sample counts as clipped.
+        exposure_s: seconds by VIEW or file name.
+        exif_exposure: divide out exposures that differ between files' headers; None: unless the pixels contradict them.
+        dark_frame, flat_field: image files relative to the capture.
+        white_balance: factors on R, G, B.
     """
 
     black_level: float | None = None
@@ -101,8 +106,14 @@ class OlatConfig:
 
 @dataclass(frozen=True)
 class PosesConfig:
-    """Facts that fix cameras: `focal_px` (known focal length), `scale_pair` = two views and their distance in world units,
-    or `marker_length` = a side of the square ArUco markers in view, of `marker_dictionary` as OpenCV names it.
+    """Facts that fix cameras: [poses].
+
+    Fields:
+        focal_px: focal length, pixels.
+        scale_pair: two views whose distance is known.
+        scale_distance: that distance, world units.
+        marker_length: side of the square ArUco markers in view, world units.
+        marker_dictionary: of the markers, as OpenCV names it.
     """
 
     focal_px: float | None = None
@@ -114,7 +125,18 @@ class PosesConfig:
 
 @dataclass(frozen=True)
 class CaptureConfig:
-    """The whole of capture.toml; an absent file is the same as an empty one."""
+    """The whole of capture.toml; an absent file is the same as an empty one.
+
+    Fields:
+        up: the world's up axis ("y", "z", "-y", ...); None: as the layout has it.
+        unit_m: metres per world unit, None: not known.
+        layout: name of a layout; None: recognised by its files.
+        clean_plate: folder (or file) with photographs of the empty scene, relative to the capture.
+        stokes, radiometry, mosaic, stack, raw, olat, poses: tables of these names.
+        polarisers: [polarisers.CAMERA] by physical camera.
+        stage: [stage.NAME] by stage, unchecked.
+        path: the file; None: there is none.
+    """
 
     up: str | None = None
     unit_m: float | None = None

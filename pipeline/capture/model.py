@@ -23,8 +23,13 @@ Polarisation = Literal["stokes", "polarisers", "none"]
 
 @dataclass(frozen=True)
 class PolariserPrior:
-    """What is known of one physical camera's polariser: angle (degrees, counter-clockwise as displayed) or None;
-    `trusted` False makes the angle a starting value; `extinction` is the ratio of the two transmissions (None: ideal)."""
+    """What is known of one physical camera's polariser.
+
+    Fields:
+        angle_deg: counter-clockwise as displayed; None: unknown.
+        trusted: False: the angle is a starting value, to be fitted.
+        extinction: ratio of the two transmissions; None: ideal.
+    """
 
     angle_deg: float | None = None
     trusted: bool = False
@@ -33,13 +38,19 @@ class PolariserPrior:
 
 @dataclass
 class DecodedView:
-    """One view in linear radiance: either `stokes` [H, W, 3 stokes, 3 rgb] or `rgb` [H, W, 3], float32.
+    """One view in linear radiance: either `stokes` or `rgb`.
 
-    saturated [H, W] bool; alpha [H, W] in 0..1 or None; noise: standard deviation of one stored sample (None: unknown);
-    design [n, 3]: rows of the polariser matrix that the Stokes vector was solved from (None: the file held Stokes).
-    covariance [3, 3] of (s0, s1, s2) for samples of unit variance. faults: what was found wrong, with a pixel count
-    (0 where the fault is the file's, not of pixels). verbatim: an EXR that already holds exactly this, by channel name.
-    moved: by how many pixels which picture of an angle stack lies off the first, where they do not fit each other.
+    Fields:
+        stokes: s0, s1, s2 by R, G, B. [H, W, 3, 3]
+        rgb: radiance. [H, W, 3]
+        saturated: True where a sample was clipped. [H, W]
+        alpha: coverage, 0..1. [H, W]
+        noise: standard deviation of one stored sample, radiance; None: unknown.
+        design: rows of the polariser matrix that the Stokes vector was solved from; None: the file held Stokes. [n, 3]
+        covariance: of (s0, s1, s2) for samples of unit variance. [3, 3]
+        faults: what was found wrong, to a pixel count (0: the fault is the file's, not of pixels).
+        verbatim: an EXR that already holds exactly this, by channel name.
+        moved: by how many pixels which picture of an angle stack lies off the first, where they do not fit each other.
     """
 
     stokes: NDArray[np.float32] | None = None
@@ -63,8 +74,16 @@ class DecodedView:
 
 @dataclass(frozen=True)
 class ViewSource:
-    """One view before decoding: its files, the physical camera behind it, and how to read it; `paged`: one file holds
-    several images, and none of its channels is alpha."""
+    """One view before decoding.
+
+    Fields:
+        view: VIEW.
+        paths: its files.
+        camera: the physical camera behind it.
+        loader: reads them.
+        size: width, height in pixels, where known.
+        paged: one file holds several images, and none of its channels is alpha.
+    """
 
     view: str
     paths: tuple[Path, ...]
@@ -80,9 +99,15 @@ class ViewSource:
 
 @dataclass(frozen=True)
 class LightStageCamera:
-    """One light-stage camera: cross- and parallel-polarised frames in the order of the lights, its matte and its pose.
+    """One light-stage camera.
 
-    Of a camera with one pass (`passes`) both are the same frames.
+    Fields:
+        name: "camNN".
+        cross, parallel: cross- and parallel-polarised frames, in the order of the lights; with one pass both are the same.
+        mask: its matte's file.
+        camera: pose and lens.
+        full_light: frames with all lights on.
+        passes: which of the two there are.
     """
 
     name: str
@@ -101,7 +126,13 @@ class LightStageCamera:
 
 @dataclass(frozen=True)
 class LightStage:
-    """A one-light-at-a-time capture: cameras by name and the lights they share."""
+    """A one-light-at-a-time capture.
+
+    Fields:
+        root: its folder.
+        cameras: by name, "camNN".
+        lights: shared by all cameras.
+    """
 
     root: Path
     cameras: dict[str, LightStageCamera]
@@ -110,11 +141,26 @@ class LightStage:
 
 @dataclass(frozen=True)
 class Capture:
-    """A capture folder, understood. `files` lists every input; nothing in it is ever written to.
+    """A capture folder, understood. Nothing in it is ever written to.
 
-    masks: mask file per view, "alpha" (the images carry it), or None. colmap: folder of an existing COLMAP model.
-    clean_plates: background photographs by physical camera or view, for masks by difference. parts: "train", "validation"
-    or "test" by VIEW where the capture's own tables divide the views.
+    Fields:
+        root: the folder.
+        layout: name of the layout that recognised it.
+        kind: photographs from around, or a light stage.
+        polarisation: what a decoded view holds: Stokes vectors, radiance behind polarisers, or plain radiance.
+        views: of a multi-view capture, sorted by VIEW.
+        light_stage: its cameras and lights, where it is one.
+        environments: maps to relight under.
+        config: its capture.toml.
+        up: the world's up axis.
+        cameras: by VIEW; None: to be found.
+        masks: file by view, "alpha" (the images carry it), or None.
+        colmap: folder of an existing COLMAP model.
+        files: every input.
+        polarisers: what is known of them, by physical camera.
+        warnings, facts: for people, about what was found.
+        clean_plates: background photographs by physical camera or view, for masks by difference.
+        parts: "train", "validation" or "test" by VIEW, where the capture's own tables divide the views.
     """
 
     root: Path
@@ -145,12 +191,12 @@ class Capture:
 
     @property
     def pixels(self) -> list[int]:
-        """Pixels of every view (of a light stage: of every camera); a megapixel where nothing has told its size."""
+        """Pixels of every view (of a light stage: of every camera); a megapixel where its size is not known."""
         if self.light_stage is not None:
             return [c.camera.width * c.camera.height for c in self.light_stage.cameras.values()]
         cameras = self.cameras or {}
-        told = (v.size or ((c.width, c.height) if (c := cameras.get(v.view)) else (1024, 1024)) for v in self.views)
-        return [width * height for width, height in told]
+        sizes = (v.size or ((c.width, c.height) if (c := cameras.get(v.view)) else (1024, 1024)) for v in self.views)
+        return [width * height for width, height in sizes]
 
     @property
     def camera_file(self) -> Path:
@@ -161,7 +207,7 @@ class Capture:
     @property
     def truth(self) -> Truth:
         """What the folder holds of ground truth."""
-        return Truth(self.root, tuple(sorted(view.view for view in self.views)))
+        return Truth(self.root, tuple(sorted(view.view for view in self.views)), self.layout)
 
     def view(self, name: str) -> ViewSource:
         """The view called `name`; KeyError if there is none."""

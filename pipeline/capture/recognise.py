@@ -21,10 +21,17 @@ SHOWN = 12
 
 
 def open_capture(path: Path | str) -> Capture:
-    """Recognise and validate the capture at `path`.
+    """Recognise and check a capture folder.
 
-    Raises UserError when the folder is missing, empty or of no known layout (listing what was looked for and what
-    was found), and whatever the recognised layout's reader finds wrong.
+    Args:
+        path: the folder.
+
+    Returns:
+        What it is; no pixels have been read but where radiometry had to be found out.
+
+    Raises:
+        UserError: the folder is missing, empty or of no known layout (names what was looked for and what was found), or the
+            recognised layout's reader finds it wrong.
     """
     root = Path(os.path.abspath(path))
     if not root.exists():

@@ -16,7 +16,14 @@ HeldBack = Literal["validation", "test"]
 
 
 def too_few_views(capture: Capture) -> str | None:
-    """Why a multi-view capture has no model, None where it has views enough."""
+    """Say why a multi-view capture has no model.
+
+    Args:
+        capture: as recognised.
+
+    Returns:
+        The reason; None where it has `MIN_TRAINING_VIEWS` or more.
+    """
     count = len(capture.views)
     if count >= MIN_TRAINING_VIEWS:
         return None
@@ -24,7 +31,15 @@ def too_few_views(capture: Capture) -> str | None:
 
 
 def held_back(names: Iterable[str], parts: Mapping[str, str] | None = None) -> dict[str, HeldBack]:
-    """The views that take no part in training and what for, as the capture's own tables say (`parts`), else by TEST_EVERY."""
+    """Choose the views that take no part in training.
+
+    Args:
+        names: VIEWs.
+        parts: "train", "validation" or "test" by VIEW, where the capture's own tables say; None: by `TEST_EVERY`.
+
+    Returns:
+        Held-back VIEW to what for.
+    """
     if not parts:
         return dict.fromkeys(sorted(names)[::TEST_EVERY], "test")
     known: dict[str, HeldBack] = {"validation": "validation", "test": "test"}

@@ -9,12 +9,14 @@ import typing
 from collections.abc import Mapping, Sequence
 from typing import Any, NoReturn
 
+from pipeline.engine.completion import SHELLS
+from pipeline.engine.examples import ending
 from pipeline.engine.memory import parsed_mb
 from pipeline.engine.stage import Stage
 from pipeline.environments import DEFAULT, NO_MAPS, SHIPPED
 from pipeline.errors import UserError, nearest
 
-EPILOG = "A capture folder is never written to. docs/captures.md lists what is recognised; docs/stages.md what comes out."
+EPILOG = "A capture folder is never written to. docs/captures.md lists what is recognised; docs/stages.md what comes out. "
 COMMANDS = {
     "all": "run every stage that the capture needs, with exactly the parameters and maps that are given",
     "plan": "print what `all` would run, what is done already, and why",
@@ -25,6 +27,7 @@ COMMANDS = {
     "tradeoff": "run a capture with other parameters, for up to ten times its own time: error against seconds",
     "verify": "read everything in use against its digests and name what is damaged or missing (then the exit status is 1)",
     "batch": "run every stage of every capture in a folder, or of those that a list names, and write one table",
+    "completion": "print a script that completes commands, options and their values in bash, zsh or fish",
     "gc": "remove versions that nothing in use was made from, and unfinished work; lists them, and asks unless --yes is given",
 }
 SWITCHES = {
@@ -73,11 +76,11 @@ def parse(stages: Mapping[str, Stage], arguments: Sequence[str], formats: Sequen
         raise UserError("COMMAND", "none was given", f"{nearest('', [*COMMANDS, *stages])}; --help explains them")
     if not given[0].startswith("-") and given[0] not in (*COMMANDS, *stages):
         raise UserError(given[0], "is not a command", nearest(given[0], [*COMMANDS, *stages]))
-    options, unknown = _parser(stages, formats).parse_known_args(given)
+    options, unknown = command_parser(stages, formats).parse_known_args(given)
     if unknown:
         flag = next((a for a in unknown if a.startswith("-")), unknown[0])
         raise _unknown(flag, options.command, stages)
-    if options.command in ("compare", "export"):
+    if options.command in ("compare", "completion", "export"):
         return options
     if options.jobs < 1:
         raise UserError(_spoken("--jobs"), f"{options.jobs} is not a whole number from 1 on", "as in 2")
@@ -127,11 +130,16 @@ class _OneLineParser(argparse.ArgumentParser):
         raise UserError(flag, fault, f"`{self.prog} --help` lists the options")
 
 
-def _parser(stages: Mapping[str, Stage], formats: Sequence[str]) -> argparse.ArgumentParser:
-    parser = _OneLineParser(prog="polarfield", description="Captures in, datasets out.", epilog=EPILOG)
+def command_parser(stages: Mapping[str, Stage], formats: Sequence[str]) -> argparse.ArgumentParser:
+    """The parser of every command over these stages; `formats`: what `export` knows."""
+    parser = _OneLineParser(prog="polarfield", description="Captures in, datasets out.", **ending("", EPILOG))
+    parser.add_argument("--version", action="version", version=f"polarfield {program_version()}", help="say the version")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for name, text in COMMANDS.items():
-        sub = commands.add_parser(name, help=text, description=text, epilog=EPILOG)
+        sub = commands.add_parser(name, help=text, description=text, **ending(name, EPILOG))
+        if name == "completion":
+            sub.add_argument("shell", choices=SHELLS, help=f"one of {', '.join(SHELLS)}")
+            continue
         if name == "compare":
             _compared(sub)
             continue
@@ -145,7 +153,8 @@ def _parser(stages: Mapping[str, Stage], formats: Sequence[str]) -> argparse.Arg
             sub.add_argument(option, **settings)
     for name, stage in stages.items():
         text = f"run the {name} stage and what it needs; other stages keep the parameters and maps of the last run"
-        sub = commands.add_parser(name, help=f"run the {name} stage and what it needs", description=text, epilog=EPILOG)
+        brief = f"run the {name} stage and what it needs"
+        sub = commands.add_parser(name, help=brief, description=text, **ending(name, EPILOG))
         _common(sub)
         group = sub.add_argument_group(f"{name} parameters")
         hints = typing.get_type_hints(stage.parameters)
@@ -158,6 +167,16 @@ def _parser(stages: Mapping[str, Stage], formats: Sequence[str]) -> argparse.Arg
             flag = "--" + f.name.replace("_", "-")
             group.add_argument(flag, dest=f"p_{f.name}", default=None, metavar="VALUE", help=note)
     return parser
+
+
+def program_version() -> str:
+    """The version that is installed; of sources that were never installed, that they are."""
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return version("polarfield")
+    except PackageNotFoundError:
+        return "(sources, not installed)"
 
 
 def _compared(parser: argparse.ArgumentParser) -> None:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
+from pipeline.engine.costs.estimate import Expected, LeftOut
 from pipeline.engine.dataset import Dataset, Version
 from pipeline.engine.dataset.documents import read_object
 from pipeline.engine.plan import Step, as_json
@@ -24,15 +25,21 @@ NAMED = 2  # changed files that are named; more are counted
 class State:
     """How one step of a plan stands in a dataset.
 
-    `kind`: left out, never made, in use, to be made again, made earlier and to be put to use, begun and to be resumed.
-    `why`: what differs from the version in use. `root`: the difference is this stage's own, not of one upstream.
-    `wall_s`: seconds that it took, or that another version of it took last; None where none is known.
+    Fields:
+        kind: left out, never made, in use, to be made again, made earlier and to be put to use, begun and to be resumed.
+        why: what differs from the version in use.
+        root: the difference is this stage's own, not of one upstream.
+        wall_s: seconds that it took, or that another version of it took last; None where none is known.
+        expected: what it will take; None where nothing is to be done, or is known.
+        saved: what the plan saves by leaving the stage out (by the name "") or a pass of it.
     """
 
     kind: Kind
     why: str = ""
     root: bool = False
     wall_s: float | None = None
+    expected: Expected | None = None
+    saved: Mapping[str, LeftOut] = field(default_factory=dict)
 
     @property
     def ready(self) -> bool:
@@ -150,41 +157,22 @@ def _in_use(dataset: Dataset, stage: str) -> str | None:
     return version.key if version else None
 
 
-def plan_text(steps: Sequence[Step], found: Mapping[str, State]) -> str:
-    """The plan for a person: one line a stage with its reason, below it how it stands and the passes."""
-    lines, below = [], " " * 19
-    for step in steps:
-        state = found[step.stage.name]
-        text = standing(state)
-        beside = f" [{text}]" if text and state.kind in ("done", "run") else ""
-        lines.append(f"  {WORDS[state.kind]:6}  {step.stage.name:8}  {step.decision.reason}{beside}")
-        if text and not beside:
-            lines.append(f"{below}{WORDS[state.kind]}: {text}")
-        for name, choice in step.decision.passes.items():
-            lines.append(f"{below}{'with' if choice.run else 'without'} {name}: {choice.reason}")
-    return "\n".join(lines)
-
-
 def standing(state: State) -> str:
-    """How a step stands, in words: what differs, and what it took; empty where nothing is known."""
+    """Say how a step stands: what differs, what it will take, and what it took last.
+
+    Args:
+        state: the step's.
+
+    Returns:
+        The words; "" where nothing is known.
+    """
     took = "" if state.wall_s is None else f"took {brief(state.wall_s)}"
     if state.kind == "done":
         return f"done, {took}" if took else "done"
     if state.kind == "switch":
         return f"an earlier version ({state.why})" if state.why else "a version that was made before"
-    return ", ".join(filter(None, [state.why, f"{took} last time" if took else ""]))
-
-
-def outlook(found: Mapping[str, State]) -> str:
-    """One line: what is left to do, and what it took last time where that is known of every part."""
-    left = {n: s for n, s in found.items() if not s.ready}
-    if not left:
-        turned = [n for n, s in found.items() if s.kind == "switch"]
-        return f"nothing to make: earlier versions of {', '.join(turned)} are put to use" if turned else "all is done"
-    known = [s.wall_s for s in left.values() if s.wall_s is not None]
-    if len(known) == len(left):
-        return f"to do: {', '.join(left)}; last time that took {brief(sum(known))}"
-    return f"to do: {', '.join(left)}"
+    will = f"about {brief(state.expected.wall_s)}" if state.expected is not None else ""
+    return ", ".join(filter(None, [state.why, will, f"{took} last time" if took else ""]))
 
 
 def expected_warnings(at_once: Sequence[str], dataset: Dataset, found: Mapping[str, State]) -> list[str]:

@@ -8,14 +8,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from pipeline.engine.arguments import parse
+from pipeline.engine.arguments import command_parser, parse
 from pipeline.engine.call import Call, describe, open_call, place_of
-from pipeline.engine.changes import State, expected_warnings, keep_hint, outlook, plan_text, stale_after, states
+from pipeline.engine.changes import State, expected_warnings, keep_hint, stale_after, states
 from pipeline.engine.child import run_stage
+from pipeline.engine.completion import script
+from pipeline.engine.costs.estimate import Estimator
 from pipeline.engine.device import device_of, refuse_missing_cuda
 from pipeline.engine.early import look_early, say_warnings
 from pipeline.engine.gc import collect
 from pipeline.engine.interrupts import Interrupted, interruptible
+from pipeline.engine.outlook import outlook, plan_text, with_costs
 from pipeline.engine.places import existing_dataset, refuse_another_capture
 from pipeline.engine.plan import Step, load_stages, make_plan
 from pipeline.engine.program import Program
@@ -27,7 +30,15 @@ JOB_WORDS = 4  # `job PLAN ROW STAGE`: what a cluster runs of a batch's plan
 
 
 def main(program: Program, arguments: Sequence[str]) -> int:
-    """Run one command; returns the exit status: 0 done, 1 damage found, 2 a fault of input, 128 + signal ended by it."""
+    """Run one command; a fault of input is printed as one line.
+
+    Args:
+        program: the stages and what else the command line offers.
+        arguments: without the program's name.
+
+    Returns:
+        The exit status: 0 done, 1 damage found, 2 a fault of input, 128 + signal where one ended it.
+    """
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")  # a file's name may be no text
@@ -52,6 +63,9 @@ def _run(program: Program, arguments: Sequence[str]) -> int:
         return run_job(arguments[1:], lambda line: main(program, line))
     stages = load_stages(program.modules)
     options = parse(stages, arguments, program.formats)
+    if options.command == "completion":
+        print(script(options.shell, command_parser(stages, program.formats)), end="")
+        return 0
     if options.command == "compare" and program.compare is not None:
         print(f"comparison: {program.compare([Path(p) for p in options.datasets], Path(options.out))}")
         return 0
@@ -90,6 +104,7 @@ def _show(call: Call) -> int:
     if known:
         refuse_another_capture(call.dataset, call.capture, steps)
     found = states(call.dataset, steps)
+    found = with_costs(found, Estimator(call.capture, steps, call.dataset, device_of(call.options.device)))
     print(f"{call.capture.root.name}: {call.capture.layout}\n{plan_text(steps, found)}\n{outlook(found)}")
     if hint := keep_hint(call.last, call.settings, found, call.stages, call.command not in call.stages):
         print(hint)
@@ -211,7 +226,7 @@ def _make_alone(call: Call, steps: list[Step]) -> int:
     step = next(s for s in steps if s.stage.name == call.command)
     device = device_of(call.options.device) if step.stage.device else "cpu"
     allowed = allowance(step, call.capture, call.options.jobs, call.options.memory)
-    make_version(call.dataset, call.capture, step, call.capture.environments, device, allowed, call.progress)
+    make_version(call.dataset, call.capture, step, call.capture.environments, device, allowed, call.progress, steps)
     return 0
 
 

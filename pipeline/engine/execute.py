@@ -7,12 +7,15 @@ import importlib.metadata
 import os
 import shutil
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from pipeline.capture import Capture
+from pipeline.engine.costs.estimate import Estimator, Expected
+from pipeline.engine.costs.probe import machine
+from pipeline.engine.costs.rates import record_of, remember
 from pipeline.engine.dataset import Dataset, Version
 from pipeline.engine.dataset.digests import digest_file
 from pipeline.engine.dataset.usage import Usage
@@ -39,8 +42,9 @@ def make_version(
     device: str,
     allowed: Allowance,
     progress: Progress,
+    plan: Sequence[Step] = (),
 ) -> Version:
-    """The version of `step`: the published one where there is one, else made now. Raises UserError."""
+    """The version of `step` (one of `plan`): the published one where there is one, else made now. Raises UserError."""
     name, key = step.stage.name, step.key
     if version := dataset.find(name, key):
         return version
@@ -51,18 +55,19 @@ def make_version(
     with dataset.making(name, key, waiting) as work:
         if version := dataset.find(name, key):
             return version
-        resumed = (work / "usage.json").exists()
-        why = f"{step.decision.reason}; about {allowed.expected_mb:.0f} MB of memory"
-        progress.say(f"{name}: {'resuming' if resumed else 'running'} ({why})")
+        estimator = Estimator(capture, plan or [step], dataset, device)
+        expected = estimator.expected(step)
+        progress.say(f"{name}: {_beginning(step, expected, allowed, resumed=(work / 'usage.json').exists())}")
         output, scratch = _folders(work)
         upstream = {n: published(dataset, n, step.inputs["stages"][n]) for n in step.needs}
         refuse_unsafe_tables(dataset, upstream.values())
         folders = {n: version.folder for n, version in upstream.items()}
         run = StageRun(capture, step.parameters, folders, output, scratch, device, environments, progress, allowed.jobs)
+        run.left_out = {name: left.as_json() for name, left in estimator.left_out().items()}
         usage = Usage(work / "usage.json", allowed.limit_mb, lambda: _stop_at_once(allowed.overrun(name)))
         try:
             step.stage.run(run)
-            figures = {**usage.stop(), "expected_rss_mb": round(allowed.expected_mb, 1)}
+            figures = {**usage.stop(), **_expected(expected, allowed)}
             _refuse_changed_files(dataset, step)
             version = dataset.publish(name, key, output, _manifest(step, run, output, figures))
         except OSError as error:
@@ -76,8 +81,29 @@ def make_version(
         finally:
             usage.stop()
         dataset.clear_work(name, key)
+        _remember(version, step, expected, device)
         progress.say(f"{name}: done in {brief(float(figures['wall_s']))}, {figures['peak_rss_mb']:.0f} MB")
         return version
+
+
+def _beginning(step: Step, expected: Expected | None, allowed: Allowance, resumed: bool) -> str:
+    """What is said as a stage begins."""
+    about = f"{brief(expected.wall_s)} and " if expected else ""
+    why = f"{step.decision.reason}; about {about}{allowed.expected_mb:.0f} MB of memory"
+    return f"{'resuming' if resumed else 'running'} ({why})"
+
+
+def _expected(expected: Expected | None, allowed: Allowance) -> dict[str, float]:
+    """What was foretold, for the manifest."""
+    times = {"expected_wall_s": round(expected.wall_s, 3), "expected_cpu_s": round(expected.cpu_s, 3)} if expected else {}
+    return {"expected_rss_mb": round(allowed.expected_mb, 1), **times}
+
+
+def _remember(version: Version, step: Step, expected: Expected | None, device: str) -> None:
+    """Keep what this run shows of the machine's rates."""
+    record = record_of(version.manifest, expected.estimate_s) if expected else None
+    if record is not None:
+        remember(step.stage.name, device if step.stage.device else "cpu", record)
 
 
 def _folders(work: Path) -> tuple[Path, Path]:
@@ -121,6 +147,7 @@ def _manifest(step: Step, run: StageRun, output: Path, figures: Mapping[str, Any
         "outputs": outputs,
         **figures,
         "compile_s": _compile_s(),
+        "machine": machine(),
         "device": run.device,
         "packages": _packages(),
         "warnings": run.warnings,

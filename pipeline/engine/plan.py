@@ -21,7 +21,17 @@ Overrides = Mapping[str, Mapping[str, Any]]  # stage name -> parameter -> value
 
 @dataclass(frozen=True)
 class Step:
-    """One stage of a plan: the decision, its parameters, and for one that runs its key and what the key is made of."""
+    """One stage of a plan.
+
+    Fields:
+        stage: which.
+        decision: whether it runs, and why.
+        parameters: an instance of the stage's parameters.
+        key: content address of its version; "" where it does not run.
+        inputs: what the key is made of.
+        needs: the upstream stages that run.
+        files: of the capture and the maps, that the stage reads itself.
+    """
 
     stage: Stage
     decision: Decision
@@ -111,5 +121,12 @@ def as_json(value: Any) -> Any:
 
 
 def plan_as_json(steps: list[Step]) -> dict[str, Any]:
-    """The plan as `dataset.json` keeps it."""
+    """Write a plan as `dataset.json` keeps it.
+
+    Args:
+        steps: the plan.
+
+    Returns:
+        Stage to its decision.
+    """
     return {step.stage.name: step.decision.as_json() for step in steps}

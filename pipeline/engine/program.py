@@ -27,12 +27,18 @@ Export = Callable[[Dataset, str, str], Path]
 
 @dataclass(frozen=True)
 class Program:
-    """What a command line runs: this file knows no stage.
+    """What a command line runs; the engine itself knows no stage.
 
-    `modules`: each stage's module by its name, in running order. `module`: `python -m MODULE STAGE ...` runs one stage in
-    a process of its own. `report`: the stage whose output the report is. `inspect` writes the page of `inspect`,
-    `compare` that of `compare`, `tradeoff` tries out other parameters, `look` tells what a run would warn
-    of, `export` to `formats` copies results.
+    Fields:
+        modules: each stage's module by its name, in running order.
+        module: `python -m MODULE STAGE ...` runs one stage in a process of its own.
+        report: the stage whose output the report is.
+        inspect: writes the page of `inspect`.
+        compare: writes the page of `compare`.
+        tradeoff: tries out other parameters.
+        look: finds what a run would warn of.
+        export: copies results.
+        formats: that `export` can write.
     """
 
     modules: Mapping[str, str]

@@ -15,6 +15,14 @@ class Bar:
     """One piece of work of known length; `advance` it as parts are done."""
 
     def __init__(self, title: str, total: float, unit: str, stream: TextIO) -> None:
+        """Start a bar.
+
+        Args:
+            title: of the work.
+            total: its length in `unit`.
+            unit: such as "views".
+            stream: where the bar is shown.
+        """
         self.title, self.total, self.unit, self.stream = title, max(total, 1e-9), unit, stream
         self.done, self.extra = 0.0, ""
         self.first_done: float | None = None  # work of an earlier leg says nothing about this leg's speed
@@ -76,7 +84,14 @@ class TerminalBar(Bar):
 
 
 def clock(seconds: float) -> str:
-    """Seconds as a person says them: 8 s, 2 min 05 s, 3 h 10 min."""
+    """Write a time as a person says it: 8 s, 2 min 05 s, 3 h 10 min.
+
+    Args:
+        seconds: >= 0.
+
+    Returns:
+        The words.
+    """
     s = round(seconds)
     if s < 60:
         return f"{s} s"
@@ -84,7 +99,14 @@ def clock(seconds: float) -> str:
 
 
 def brief(seconds: float) -> str:
-    """As `clock`, with a digit after the point below ten seconds."""
+    """Say seconds as `clock` does, with a digit after the point below ten.
+
+    Args:
+        seconds: of time.
+
+    Returns:
+        The words.
+    """
     return f"{seconds:.1f} s" if seconds < 9.95 else clock(seconds)
 
 
@@ -92,6 +114,12 @@ class Progress:
     """Where a stage reports how far it is."""
 
     def __init__(self, stream: TextIO | None = None, quiet: bool = False) -> None:
+        """Choose where progress is shown.
+
+        Args:
+            stream: a terminal gets live bars, anything else plain lines; None: stderr.
+            quiet: show nothing.
+        """
         self.stream = stream or sys.stderr
         self.quiet = quiet
 

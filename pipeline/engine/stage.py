@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pipeline.engine.costs.cost import Cost
 from pipeline.engine.progress import Progress
 from pipeline.errors import UserError, nearest
 from pipeline.formats.typed_values import typed
@@ -19,7 +20,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Decision:
-    """Whether a stage (or a pass inside one) runs on a scene, and the reason in words."""
+    """Whether a stage (or a pass inside one) runs on a scene.
+
+    Fields:
+        run: whether.
+        reason: in words.
+        passes: of the stage, by name.
+    """
 
     run: bool
     reason: str
@@ -48,6 +55,11 @@ def little_memory(capture: Capture, parameters: Any, jobs: int) -> float:
     return 150.0
 
 
+def no_costs(capture: Capture, parameters: Any) -> Mapping[str, Cost]:
+    """For a stage of which nothing is estimated."""
+    return {}
+
+
 def no_check(capture: Capture) -> None:
     """For a stage whose files are checked where the capture is recognised."""
 
@@ -56,13 +68,22 @@ def no_check(capture: Capture) -> None:
 class Stage:
     """One stage of the pipeline.
 
-    `version` grows whenever the meaning of its output changes. `needs` are upstream stages, read where the plan runs
-    them. `capture_files` are the capture's files that it reads itself, and `config` the `capture.toml` sections that
-    it heeds: both enter its key. `check` raises UserError where it could not use its files; it is asked before any
-    stage runs. `given_files` are files that its parameters name: they enter its key, and it may refuse them before anything
-    runs. `environments` says that it reads the maps to relight under, `device` that it runs on
-    the device that a call names (every other stage runs on the processor and loads nothing to find out). `memory` tells how
-    many MiB it will have at its peak, with so many jobs side by side.
+    Fields:
+        name: of its command and folder.
+        version: grows whenever the meaning of its output changes.
+        parameters: their dataclass.
+        needs: upstream stages, read where the plan runs them.
+        needed: decides whether a capture needs the stage.
+        run: fills one folder.
+        capture_files: the capture's files that it reads itself; they enter its key.
+        check: raises UserError where it could not use its files; asked before any stage runs.
+        given_files: files that its parameters name; they enter its key, and it may refuse them before anything runs.
+        config: `capture.toml` sections that it heeds; they enter its key.
+        environments: it reads the maps to relight under.
+        device: it runs on the device that a call names (every other stage runs on the processor and loads nothing to find out).
+        memory: MiB that it will have at its peak, with so many jobs side by side.
+        costs: its parts (ITSELF, COMPILING and its passes, whether they run or not), and what each takes.
+        parallel: share of its processor time that spreads over the cores.
     """
 
     name: str
@@ -78,14 +99,27 @@ class Stage:
     environments: bool = False
     device: bool = False
     memory: Callable[[Capture, Any, int], float] = little_memory
+    costs: Callable[[Capture, Any], Mapping[str, Cost]] = no_costs
+    parallel: float = 0.0
 
 
 @dataclass
 class StageRun:
     """What a stage's `run` is given.
 
-    `inputs` are the published folders of the upstream stages that ran, `output` the folder to fill (it appears under
-    its key when `run` returns), `scratch` a folder that outlives a kill, for checkpoints of this very key.
+    Fields:
+        capture: as recognised.
+        parameters: an instance of the stage's parameters.
+        inputs: the published folders of the upstream stages that ran, by stage.
+        output: the folder to fill; it appears under its key when `run` returns.
+        scratch: a folder that outlives a kill, for checkpoints of this very key.
+        device: "cpu" or "cuda".
+        environments: maps to relight under.
+        progress: where to report.
+        jobs: pieces that may be worked on side by side.
+        warnings: said so far (`warn`).
+        facts: kept so far (`note`).
+        left_out: what the plan leaves out, by STAGE or STAGE.PASS: {"saved_s", "saved_mb", "reason"} each.
     """
 
     capture: Capture
@@ -99,6 +133,7 @@ class StageRun:
     jobs: int = 1
     warnings: list[str] = field(default_factory=list)
     facts: dict[str, Any] = field(default_factory=dict)
+    left_out: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     def warn(self, text: str) -> None:
         """Tell the user of something that does not stop the work; kept in the manifest."""

@@ -15,5 +15,12 @@ NO_MAPS = "none"
 
 
 def shipped_map(name: str) -> Path | None:
-    """The file of the shipped map of this name, or None where there is no such map."""
+    """Find a map that comes with the program.
+
+    Args:
+        name: of `SHIPPED`.
+
+    Returns:
+        Its file; None where there is no such map.
+    """
     return Path(__file__).parent / f"{name}.exr" if name in SHIPPED else None

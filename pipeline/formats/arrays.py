@@ -20,18 +20,52 @@ Header = tuple[tuple[int, ...], np.dtype[Any], bool]
 
 
 def array_names(path: Path) -> list[str]:
-    """The arrays that an .npz holds. Raises UserError."""
+    """Name the arrays that an .npz holds, from its table of contents alone.
+
+    Args:
+        path: the .npz.
+
+    Returns:
+        Names without `.npy`, in file order.
+
+    Raises:
+        UserError: there is no such file, or it is no .npz.
+    """
     with _archive(path) as archive:
         return [name.removesuffix(".npy") for name in archive.namelist() if name.endswith(".npy")]
 
 
 def array_shape(path: Path, key: str | None = None) -> tuple[int, ...]:
-    """The shape of a .npy, or of the array `key` of a .npz, from its header alone. Raises UserError."""
+    """Read the shape of a stored array from its header alone.
+
+    Args:
+        path: a .npy or .npz.
+        key: the array's name in an .npz; None for a .npy.
+
+    Returns:
+        Its shape, as NumPy has it.
+
+    Raises:
+        UserError: the file is missing or damaged, has no array `key`, or holds Python objects.
+    """
     return _with_member(path, key, lambda file, size: _header(file, size, path, key)[0])
 
 
 def read_array(path: Path, key: str | None = None, largest: int = LARGEST) -> NDArray[Any]:
-    """The numbers of a .npy, or of the array `key` of a .npz. Raises UserError where they are none, too many or too few."""
+    """Read one stored array; objects are never unpickled.
+
+    Args:
+        path: a .npy or .npz.
+        key: the array's name in an .npz; None for a .npy.
+        largest: most elements that are accepted.
+
+    Returns:
+        The array in its stored type. [...]
+
+    Raises:
+        UserError: the file is missing, damaged or ends early, has no array `key`, or the array is larger than `largest` or no
+            array of numbers.
+    """
 
     def read(file: IO[bytes], size: int) -> NDArray[Any]:
         shape, kind, fortran = _header(file, size, path, key, largest)
@@ -46,7 +80,19 @@ def read_array(path: Path, key: str | None = None, largest: int = LARGEST) -> ND
 
 
 def read_arrays(path: Path, wanted: Callable[[str], bool], largest: int = 1 << 26) -> dict[str, NDArray[np.float64]]:
-    """The arrays of an .npz whose names are `wanted`, as float64. Raises UserError."""
+    """Read those arrays of an .npz that are asked for.
+
+    Args:
+        path: the .npz.
+        wanted: says of an array's name whether to read it.
+        largest: most elements of each that are accepted.
+
+    Returns:
+        Name to array [...], as float64.
+
+    Raises:
+        UserError: as `read_array`.
+    """
     return {name: np.asarray(read_array(path, name, largest), float) for name in array_names(path) if wanted(name)}
 
 

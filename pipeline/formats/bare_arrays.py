@@ -27,8 +27,14 @@ SETTINGS_HELP = "correct it; docs/captures.md has an example"
 
 @dataclass(frozen=True)
 class RawConfig:
-    """Bare samples without a header (.raw): what the file cannot tell. `format` as GenICam names it (Mono8, Mono12p,
-    Mono12Packed, BayerRG16, ...); `offset`: bytes before the first sample."""
+    """Samples without a header (.raw): what the file cannot say of itself.
+
+    Fields:
+        width, height: pixels; None: not set, and reading such a file is refused.
+        format: as GenICam names it (Mono8, Mono12p, Mono12Packed, BayerRG16, ...); None: not set.
+        offset: bytes before the first sample.
+        big_endian: byte order of samples of two bytes.
+    """
 
     width: int | None = None
     height: int | None = None

@@ -39,7 +39,13 @@ PLACES = (
 
 @dataclass(frozen=True)
 class ColmapModel:
-    """Image NAME -> camera, and the points [N, 3] with 8-bit colours [N, 3]."""
+    """A COLMAP model's cameras and points, in the model's own world.
+
+    Fields:
+        cameras: image name, as the model has it, to its camera.
+        points: world positions. [N, 3]
+        colours: of the points, 8 bits sRGB. [N, 3]
+    """
 
     cameras: dict[str, Camera]
     points: NDArray[np.float64]
@@ -47,7 +53,14 @@ class ColmapModel:
 
 
 def find_models(root: Path) -> list[Path]:
-    """The folders below `root` that hold COLMAP models of one kind, the one with the most images first."""
+    """Find the COLMAP models of a capture in the first of the usual `PLACES` that has any.
+
+    Args:
+        root: the capture's folder.
+
+    Returns:
+        The models' folders, most registered images first; empty where there is none.
+    """
     for group in PLACES:
         found = [f for place in group for f in (sorted(root.glob(place)) if place else [root]) if _holds_model(f)]
         if found:
@@ -56,7 +69,14 @@ def find_models(root: Path) -> list[Path]:
 
 
 def find_model(root: Path) -> Path | None:
-    """The folder below `root` that holds its COLMAP model (of several, the largest), or None."""
+    """Find the COLMAP model of a capture; of several, that with the most images.
+
+    Args:
+        root: the capture's folder.
+
+    Returns:
+        The model's folder, None where there is none.
+    """
     return next(iter(find_models(root)), None)
 
 
@@ -65,7 +85,14 @@ def _holds_model(folder: Path) -> bool:
 
 
 def registered_images(folder: Path) -> int:
-    """How many images a model tells of, from its file's head or lines; 0 where it cannot be read."""
+    """Count the images that a model has cameras for.
+
+    Args:
+        folder: the model's.
+
+    Returns:
+        The number, from the binary file's head or the text's lines; 0 where the file is missing or cannot be read.
+    """
     path = next((p for p in model_files(folder) if p.stem == "images"), None)
     if path is None:
         return 0
@@ -79,13 +106,30 @@ def registered_images(folder: Path) -> int:
 
 
 def model_files(folder: Path) -> tuple[Path, ...]:
-    """The model's files that are read: binary if complete, else text."""
+    """Name the files of a model that are read.
+
+    Args:
+        folder: the model's.
+
+    Returns:
+        Those of cameras, images and points3D that exist: binary if both of the first are there so, else text.
+    """
     suffix = ".bin" if all((folder / f"{name}.bin").is_file() for name in FILES[:2]) else ".txt"
     return tuple(p for p in (folder / f"{name}{suffix}" for name in FILES) if p.is_file())
 
 
 def read_model(folder: Path) -> ColmapModel:
-    """Read a model folder. Raises UserError naming the file that is malformed or holds what can be no camera."""
+    """Read a COLMAP model, text or binary.
+
+    Args:
+        folder: the model's.
+
+    Returns:
+        Its cameras (world-to-camera, OpenCV axes) and points; no points where it has no points3D file.
+
+    Raises:
+        UserError: a file is malformed or holds what can be no camera, or no image is registered.
+    """
     files = {p.stem: p for p in model_files(folder)}
     binary = files["cameras"].suffix == ".bin"
     at = files["cameras"]
@@ -129,7 +173,14 @@ def _camera(lens: Lens, matrix: NDArray[np.float64], files: Mapping[str, Path], 
 
 
 def parameters_of(camera: Camera) -> tuple[str, list[float]]:
-    """The camera's lens as COLMAP writes it: model and parameters."""
+    """Write a camera's lens as COLMAP does.
+
+    Args:
+        camera: pinhole or with a lens; lengths in pixels.
+
+    Returns:
+        COLMAP's name of the lens model, and its parameters in COLMAP's order (fx, fy, cx, cy in pixels, then the distortion).
+    """
     if camera.lens == "EQUIRECTANGULAR":
         return camera.lens, [float(camera.width), float(camera.height)]
     pinhole = [camera.fx, camera.fy, camera.cx, camera.cy]

@@ -12,8 +12,10 @@ MANIFEST = "manifest.json"
 MASKS = "masks.json"
 POINTS = "points.ply"
 MESH = "mesh.ply"
+POISSON = "mesh_poisson.ply"
 ASSET = "asset"
 GAUSSIANS = "gaussians.ply"
+LIT_SPLATS = "splats_lit.ply"
 GBUFFERS, TESTS = "gbuffer", "test"
 ENVIRONMENT = "env.exr"
 POLARISERS = "polarisers.json"
@@ -29,45 +31,116 @@ SUMMED, ERROR = "_olat", "_error"
 
 
 def frame(decode: Path, view: str) -> Path:
-    """A view as decoded (or resampled by poses)."""
+    """Name the file of a decoded view.
+
+    Args:
+        decode: folder of the decode stage, or of poses where it resampled the views.
+        view: VIEW, as docs/dataset.md defines it.
+
+    Returns:
+        The EXR.
+    """
     return decode / "frames" / f"{view}.exr"
 
 
 def mask(masks: Path, view: str) -> Path:
-    """A view's or camera's mask."""
+    """Name the file of a mask.
+
+    Args:
+        masks: the masks stage's folder.
+        view: VIEW, or a light-stage camera's name.
+
+    Returns:
+        The PNG.
+    """
     return masks / f"{view}.png"
 
 
 def gbuffer(train: Path, view: str) -> Path:
-    """A view's G-buffer."""
+    """Name the file of a view's G-buffer.
+
+    Args:
+        train: the train stage's folder.
+        view: VIEW.
+
+    Returns:
+        The EXR.
+    """
     return train / GBUFFERS / f"{view}.exr"
 
 
 def learnt_light(train: Path, view: str) -> Path:
-    """What a view's surface mirrors of the object itself, where training has learnt it (`train.indirect=sh`)."""
+    """Name the file of what a view's surface mirrors of the object itself, as training has learnt it (`train.indirect=sh`).
+
+    Args:
+        train: the train stage's folder.
+        view: VIEW.
+
+    Returns:
+        The EXR; it exists only after such a training.
+    """
     return train / "indirect" / f"{view}.exr"
 
 
 def held_back_image(train: Path, view: str) -> Path:
-    """A held-back view as the model renders it: Stokes, diffuse and specular part, G-buffer."""
+    """Name the file of a held-back view as the model renders it: Stokes vectors, diffuse and specular part, G-buffer.
+
+    Args:
+        train: the train stage's folder.
+        view: VIEW.
+
+    Returns:
+        The EXR.
+    """
     return train / TESTS / f"{view}.exr"
 
 
 def held_back_views(train: Path) -> list[str]:
-    """The held-back views, sorted."""
+    """List the held-back views that training rendered.
+
+    Args:
+        train: the train stage's folder.
+
+    Returns:
+        Their VIEWs, sorted.
+    """
     return sorted(path.stem for path in (train / TESTS).glob("*.exr"))
 
 
 def subfolders(stage: Path) -> list[Path]:
-    """The folders in a stage's folder, sorted: a camera's maps (olat), an environment's images (relight)."""
+    """List the folders in a stage's folder: one a camera (olat) or an environment (relight).
+
+    Args:
+        stage: the stage's folder.
+
+    Returns:
+        The folders, sorted.
+    """
     return sorted(path for path in stage.iterdir() if path.is_dir())
 
 
 def relit(environment: Path, name: str, kind: str = "") -> Path:
-    """A view or camera (of a light stage: SUMMED or ERROR too) under one environment; `environment`: its folder."""
+    """Name the file of a view, or a light-stage camera, under one environment.
+
+    Args:
+        environment: the environment's folder in the relight stage's.
+        name: VIEW or camera.
+        kind: of a light stage also `SUMMED` (from the sum of the frames) or `ERROR`; "" is the rendering.
+
+    Returns:
+        The EXR.
+    """
     return environment / f"{name}{kind}.exr"
 
 
 def camera_map(camera: Path, name: str) -> Path:
-    """One fitted map of a light-stage camera; `camera`: its folder."""
+    """Name the file of one fitted map of a light-stage camera.
+
+    Args:
+        camera: the camera's folder in the olat stage's.
+        name: the map, such as `diffuse_albedo`.
+
+    Returns:
+        CAMERA/NAME.exr.
+    """
     return camera / f"{name}.exr"

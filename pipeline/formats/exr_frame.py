@@ -28,8 +28,14 @@ BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.03
 
 @dataclass(frozen=True)
 class ExrFrame:
-    """Of a file: `size` (width, height) of its picture, `corner` (x, y) of the stored pixels in it and their size `stored`;
-    `colour` [3, 3] takes stored linear RGB to Rec. 709 (None: it is)."""
+    """What an EXR's header says of where its pixels lie and of their colours.
+
+    Fields:
+        size: of the picture, its display window: width, height in pixels.
+        corner: x, y of the first stored pixel in the picture; negative where it lies outside.
+        stored: width, height of the stored pixels, the data window.
+        colour: takes stored linear RGB to Rec. 709; None: it is Rec. 709 already. [3, 3]
+    """
 
     size: tuple[int, int]
     corner: tuple[int, int]
@@ -66,7 +72,18 @@ class ExrFrame:
 
 
 def exr_frame(spec: Any, path: Path) -> ExrFrame:
-    """What the header (OpenImageIO's ImageSpec) of an EXR says; any other file is plain. Raises UserError."""
+    """Read from an image's header where its pixels lie and what its primaries are.
+
+    Args:
+        spec: OpenImageIO's ImageSpec of the open file.
+        path: the file, for its suffix and for errors.
+
+    Returns:
+        The frame; of a file that is no EXR, one that changes nothing.
+
+    Raises:
+        UserError: the display window is empty or absurdly large, or the stored pixels all lie outside it.
+    """
     stored = (spec.width, spec.height)
     if path.suffix.lower() != ".exr":
         return ExrFrame(stored, (0, 0), stored, None)
@@ -112,5 +129,12 @@ PRIMARIES = "its colours have primaries of their own: converted to Rec. 709; che
 
 
 def primaries_remark(frame: ExrFrame | None) -> dict[str, int]:
-    """The fault to tell of a file (`DecodedView.faults`) whose colours were converted."""
+    """Remark on a file whose colours were converted to Rec. 709.
+
+    Args:
+        frame: of the file; None: not an EXR.
+
+    Returns:
+        An entry for `DecodedView.faults`, fault to pixels (0: none are lost); empty where nothing was converted.
+    """
     return {} if frame is None or frame.colour is None else {PRIMARIES: 0}

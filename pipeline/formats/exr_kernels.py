@@ -11,10 +11,14 @@ from pipeline.kernels.compiling import kernel
 
 @kernel(nogil=True)
 def undo_predictor(inflated: NDArray[np.uint8], out: NDArray[np.uint16]) -> None:
-    """The samples' bytes, as words out [N], of inflated [2 N].
+    """Undo the predictor and byte shuffle of an inflated EXR chunk (zip codec, OpenEXR file layout).
 
     Each byte is stored as its difference to the one before plus 128, and the file's even bytes come before its odd ones.
     The running sum over the odd half starts at that of the whole even half, so both run at once.
+
+    Args:
+        inflated: the chunk's bytes. [2 N]
+        out: filled with the samples' bytes, as words. [N]
     """
     n = out.size
     low, high = np.uint64(128), np.uint64(0)  # the first byte is stored as it is: its 128 is added back

@@ -38,10 +38,15 @@ REQUIRED = {
 
 @dataclass(frozen=True)
 class ZipLayout:
-    """What files written alike share: `header`, their bytes up to the table of chunks, and what it says.
+    """What files that are written alike share: enough to find and inflate any row.
 
-    names in file order, size (width, height), sample_bytes 2 (half) or 4 (float), chunk_rows scan lines a chunk, and `top`,
-    the first row's number.
+    Fields:
+        header: the file's bytes up to the table of chunks.
+        names: channels in file order.
+        size: width, height in pixels.
+        sample_bytes: 2 (half) or 4 (float).
+        chunk_rows: scan lines in a chunk.
+        top: number of the first row.
     """
 
     header: bytes
@@ -121,14 +126,25 @@ class ZipExr:
 
 
 def damage() -> tuple[type[Exception], ...]:
-    """What reading the chunks of a damaged file raises."""
+    """Name the errors that reading the chunks of a damaged file raises.
+
+    Returns:
+        Exception types, for an `except`.
+    """
     import deflate
 
     return ValueError, struct.error, OSError, OverflowError, deflate.DeflateError
 
 
 def open_zip_exr(path: Path) -> ZipExr | None:
-    """The file if it is a whole scan-line zip EXR with channels of one kind, else None: leave it to OpenImageIO."""
+    """Open an EXR if it can be read directly: scan lines, zip, channels of one kind, whole.
+
+    Args:
+        path: the file.
+
+    Returns:
+        The open file, to be closed by the caller; None: leave it to OpenImageIO, which also says what is wrong with it.
+    """
     file = path.open("rb")
     try:
         found = _opened(file)

@@ -18,7 +18,12 @@ LEAST = 4  # pixels of two values only that make a mask of them; fewer are the r
 
 @dataclass(frozen=True)
 class GivenMask:
-    """A given mask as 8 bits [H, W], and what was made of its values (None: taken as they are)."""
+    """A mask that came with the capture.
+
+    Fields:
+        pixels: 8 bits, above `THRESHOLD` is object. [H, W]
+        reading: what was made of unusual values, for people; None: taken as they are.
+    """
 
     pixels: NDArray[np.uint8]
     reading: str | None = None
@@ -40,9 +45,18 @@ class GivenMask:
 
 
 def read_given(path: Path) -> GivenMask:
-    """A mask file: its first channel, or the one that holds the mask; values 0 and 1 and labels count as 0 and 255.
+    """Read a mask file that came with the capture.
 
-    Raises UserError where it cannot be read.
+    The first channel counts, or the one that holds the mask (alpha); values 0 and 1, and labels, become 0 and 255.
+
+    Args:
+        path: the image.
+
+    Returns:
+        The mask, and what was made of its values.
+
+    Raises:
+        UserError: the file cannot be read.
     """
     image = np.clip(np.nan_to_num(read_image(path)), 0, 1)
     channel, where = _channel(image)

@@ -15,16 +15,25 @@ from pipeline.formats.images import XYZ, read_image
 from pipeline.formats.json_file import read_json
 
 FOLDER, MAPS = "gt", "maps.npz"
-TRUE_MAPS = ("mask", "normal", "albedo", "dp_du")
+PUBLISHED_MESHES = ("smvp3d", "rmvp3d")
+"""Layouts whose scenes are published with the scanned or rendered surface as NAME.obj, in the cameras' world."""
+TRUE_MAPS = ("mask", "normal", "albedo", "dp_du", "specular_albedo", "sigma", "occlusion")
 """The arrays of maps.npz that are read."""
 
 
 @dataclass(frozen=True)
 class Truth:
-    """Ground truth of a capture: its root, and its views in sorted order."""
+    """Ground truth of a capture, looked up by view.
+
+    Fields:
+        root: the capture's folder.
+        views: its VIEWs, sorted; a file of truth may be named by a view's place among them (007).
+        layout: the capture's, where published data of that kind have files of their own.
+    """
 
     root: Path
     views: tuple[str, ...]
+    layout: str = ""
 
     def find(self, kind: str, view: str, suffix: str = "exr") -> Path | None:
         """gt/KIND/VIEW.exr, or by the view's place in sorted order (gt/KIND/007.exr)."""
@@ -56,8 +65,13 @@ class Truth:
 
     @property
     def mesh(self) -> Path:
-        """The object's surface."""
-        return self.root / FOLDER / "mesh.ply"
+        """The object's surface: gt/mesh.ply, or the one OBJ file beside the pictures where the layout is published with it."""
+        usual = self.root / FOLDER / "mesh.ply"
+        if self.layout in PUBLISHED_MESHES and not usual.is_file():
+            found = sorted(p for p in self.root.glob("*.obj") if not p.name.startswith("."))
+            if len(found) == 1:
+                return found[0]
+        return usual
 
     def document(self, name: str) -> dict[str, Any] | None:
         """A JSON file of gt/ (or of the capture's root), None where there is none. Raises UserError if it is broken."""
@@ -79,11 +93,22 @@ class Truth:
         root = self.root
         loose = [root / "gt_brdf.json", root / "gt_lp.json", *sorted(root.glob(f"*/{FOLDER}/{MAPS}"))]
         folder = sorted(p for p in (root / FOLDER).rglob("*") if p.is_file()) if (root / FOLDER).is_dir() else []
-        return [p for p in loose if p.is_file()] + folder
+        own = [self.mesh] if self.mesh.suffix == ".obj" else []
+        return [p for p in loose if p.is_file()] + own + folder
 
 
 def camera_maps(camera: Path) -> dict[str, NDArray] | None:
-    """The true maps (normal, albedo, mask, ...) in a light-stage camera's folder, None without any. Raises UserError."""
+    """Read the true maps of a light-stage camera.
+
+    Args:
+        camera: the camera's folder in the capture.
+
+    Returns:
+        Those of `TRUE_MAPS` that the file holds, by name [H, W] or [H, W, 3]; None where there is no file.
+
+    Raises:
+        UserError: the file is damaged.
+    """
     path = camera / FOLDER / MAPS
     if not path.is_file():
         return None

@@ -22,7 +22,14 @@ def oiio_library() -> Any:
 
 
 def reason_of(library: Any) -> str:
-    """What OpenImageIO, or one of its images, says of its last fault: of a garbled file it may be no text."""
+    """Take from OpenImageIO what it says of its last fault, and clear it.
+
+    Args:
+        library: the OpenImageIO module, or one of its open images.
+
+    Returns:
+        One line; of a garbled file, whose message may be no text, a line of our own.
+    """
     try:
         said = str(library.geterror()).strip().splitlines()
     except UnicodeDecodeError:
@@ -76,7 +83,15 @@ def _put(out, pixels: np.ndarray, kind: str) -> bool:
 
 
 def write_fault(path: Path, reason: str) -> UserError:
-    """The UserError for a file that could not be written, naming a full or read-only target where that is why."""
+    """Say why a file could not be written: no space, a read-only target, or what the library says.
+
+    Args:
+        path: the file that failed.
+        reason: what the library says.
+
+    Returns:
+        The error, for the caller to raise.
+    """
     folder = next((p for p in path.parents if p.exists()), Path("."))
     if shutil.disk_usage(folder).free < 1 << 20:
         return UserError(path, "no space left on the target", "free some space or choose another DATASET=")

@@ -26,7 +26,14 @@ SPLIT = "save one image a file"
 
 @dataclass(frozen=True)
 class Page:
-    """One image of a file: its subimage and which of that one's channels (None: all) are meant, under which names."""
+    """One image of a file that holds several.
+
+    Fields:
+        subimage: its number in the file, from 0.
+        channels: numbers of those of its channels that are meant.
+        names: what those channels are called.
+        title: what the file calls the image; "" where it does not.
+    """
 
     subimage: int
     channels: tuple[int, ...]
@@ -113,7 +120,15 @@ def chosen(image: Any, path: Path, page: Page | None = None, plain: bool = False
 
 
 def pages_of(image: Any, path: Path) -> list[Page]:
-    """The images of an open file, each with all its channels; thumbnails and masks of TIFF files are no images."""
+    """List the images of an open file; a TIFF's thumbnails and transparency masks are none.
+
+    Args:
+        image: an open image (OpenImageIO's, or an array file's); left at its first subimage.
+        path: the file, for its suffix.
+
+    Returns:
+        One page an image, each with all its channels.
+    """
     pages: list[Page] = []
     several = path.suffix.lower() in MAY_HOLD_SEVERAL and hasattr(image, "seek_subimage")
     k = 0
@@ -133,7 +148,14 @@ def pages_of(image: Any, path: Path) -> list[Page]:
 
 
 def layers(names: Sequence[str]) -> dict[str, dict[str, int]]:
-    """Channel numbers by layer ("" where a name has no dot) and by the name within it."""
+    """Sort channels into layers: the layer is what stands before a name's last dot.
+
+    Args:
+        names: channels in file order.
+
+    Returns:
+        Layer ("" where a name has no dot) to its channels: name within the layer to number in the file.
+    """
     out: dict[str, dict[str, int]] = {}
     for i, name in enumerate(names):
         layer, _, channel = name.rpartition(".")
@@ -142,7 +164,14 @@ def layers(names: Sequence[str]) -> dict[str, dict[str, int]]:
 
 
 def without_alpha(names: Sequence[str]) -> list[int]:
-    """The numbers of the channels that hold light."""
+    """Pick the channels that hold light.
+
+    Args:
+        names: channels in file order.
+
+    Returns:
+        Numbers of all channels but A.
+    """
     return [i for i, name in enumerate(names) if name.lower() != "a"]
 
 

@@ -26,10 +26,19 @@ HALF_MAX = 65504.0  # the largest half float; larger radiances would become Inf 
 
 
 def open_image(path: Path, page: Page | None = None, unassociated: bool = False, plain: bool = False) -> Any:
-    """An open image: one `page` of a file of several, or what they mean together (`pipeline.formats.image_parts`).
+    """Open an image for reading; the caller closes it.
 
-    `unassociated`: alpha not multiplied into colour, as PNG stores it; `plain`: the layer that is the picture goes by R, G, B.
-    Raises UserError.
+    Args:
+        path: the file.
+        page: one image of a file of several; None: what they mean together (`pipeline.formats.image_parts`).
+        unassociated: give colour without alpha multiplied into it, as PNG stores it.
+        plain: name the channels of the layer that is the picture R, G, B.
+
+    Returns:
+        An OpenImageIO ImageInput, or an object with the methods of one that are used here.
+
+    Raises:
+        UserError: the file is missing, empty, truncated or no image, or holds several images of which none is meant.
     """
     from pipeline.formats.image_parts import chosen
 
@@ -42,7 +51,18 @@ def open_image(path: Path, page: Page | None = None, unassociated: bool = False,
 
 
 def open_whole(path: Path, unassociated: bool = False) -> Any:
-    """An open file at its first image, however many it holds (`open_image`). Raises UserError."""
+    """Open a file at its first image, however many it holds (`open_image` decides which is meant).
+
+    Args:
+        path: the file.
+        unassociated: give colour without alpha multiplied into it, as PNG stores it.
+
+    Returns:
+        An OpenImageIO ImageInput, or of arrays without a header an object with its methods.
+
+    Raises:
+        UserError: the file is missing, empty, truncated or no image.
+    """
     from pipeline.formats.bare_arrays import ARRAY_SUFFIXES, open_array
 
     if not path.is_file():
@@ -64,12 +84,34 @@ def open_whole(path: Path, unassociated: bool = False) -> Any:
 
 
 def image_size(path: str | Path, page: Page | None = None) -> tuple[int, int]:
-    """(width, height) in pixels from the header alone (of an EXR: of its display window). Raises UserError."""
+    """Read an image's size from its header alone.
+
+    Args:
+        path: the file.
+        page: one image of a file of several; None: what they mean together.
+
+    Returns:
+        Width, height in pixels (of an EXR: of its display window).
+
+    Raises:
+        UserError: as `open_image`.
+    """
     return picture_frame(path, page).size
 
 
 def picture_frame(path: str | Path, page: Page | None = None) -> ExrFrame:
-    """Where a file's stored pixels lie in its picture and what becomes of their colours. Raises UserError."""
+    """Read from an image's header where its pixels lie in the picture and what becomes of their colours.
+
+    Args:
+        path: the file.
+        page: one image of a file of several; None: what they mean together.
+
+    Returns:
+        The frame.
+
+    Raises:
+        UserError: as `open_image`, or the windows of an EXR are senseless.
+    """
     image = open_image(Path(path), page)
     spec = image.spec()
     image.close()
@@ -77,8 +119,18 @@ def picture_frame(path: str | Path, page: Page | None = None) -> ExrFrame:
 
 
 def channel_names(path: str | Path, plain: bool = False) -> list[str]:
-    """Channel names in file order, from the header alone; `plain`: R, G, B for the layer that is the picture. Raises
-    UserError."""
+    """Read an image's channel names from its header alone.
+
+    Args:
+        path: the file.
+        plain: name the channels of the layer that is the picture R, G, B.
+
+    Returns:
+        Names in file order.
+
+    Raises:
+        UserError: the file is missing, damaged, or holds several images of which none is meant.
+    """
     image = open_image(Path(path), plain=plain)
     names = list(image.spec().channelnames)
     image.close()
@@ -86,10 +138,17 @@ def channel_names(path: str | Path, plain: bool = False) -> list[str]:
 
 
 def read_stored(path: Path, plain: bool = False) -> tuple[np.ndarray, list[str], str]:
-    """(pixels float32 [H, W, C], channel names, format on disk such as "half"); `plain`: R, G, B for the layer that is the
-    picture. Raises UserError.
+    """Read an image as it is stored; of an EXR its display window, in Rec. 709 (`exr_frame`).
 
-    Of an EXR: its display window, in Rec. 709 (`exr_frame`).
+    Args:
+        path: the file.
+        plain: name the channels of the layer that is the picture R, G, B.
+
+    Returns:
+        Pixels float32 [H, W, C]; channel names; sample format on disk, such as "half".
+
+    Raises:
+        UserError: the file is missing, truncated or corrupt, or holds several images of which none is meant.
     """
     image = open_image(path, plain=plain)
     spec = image.spec()
@@ -104,15 +163,33 @@ def read_stored(path: Path, plain: bool = False) -> tuple[np.ndarray, list[str],
 
 
 def read_exr(path: str | Path) -> dict[str, np.ndarray]:
-    """Every channel by its name, float32 [H, W] each. Raises UserError."""
+    """Read every channel of an EXR.
+
+    Args:
+        path: the file.
+
+    Returns:
+        Channel name to its values as stored (linear), float32. [H, W] each
+
+    Raises:
+        UserError: the file is missing, truncated or corrupt.
+    """
     pixels, names, _ = read_stored(Path(path))
     return {name: np.ascontiguousarray(pixels[..., i]) for i, name in enumerate(names)}
 
 
 def read_image(path: str | Path, channels: Sequence[str] | None = None) -> np.ndarray:
-    """Pixels float32 [H, W, C]: all channels in file order, or the named ones (case ignored) in the order given.
+    """Read an image's pixels.
 
-    Integer files are scaled to 0..1 by their type's maximum. Raises UserError.
+    Args:
+        path: any image that OpenImageIO reads, or an array file.
+        channels: names, in the order wanted, case ignored; None: all, in file order.
+
+    Returns:
+        Values as stored, float32; integers are scaled to 0..1 by their type's largest. [H, W, C]
+
+    Raises:
+        UserError: the file is missing, truncated, corrupt or lacks a channel.
     """
     from pipeline.formats.image_parts import plain_names
 
@@ -131,15 +208,32 @@ def read_image(path: str | Path, channels: Sequence[str] | None = None) -> np.nd
 
 
 def read_stokes(path: str | Path) -> np.ndarray:
-    """Stokes image float32 [H, W, 3 (s0 s1 s2), 3 (R G B)], radiance units. Raises UserError."""
+    """Read a Stokes image of our own.
+
+    Args:
+        path: an EXR with channels S0.R .. S2.B.
+
+    Returns:
+        s0, s1, s2 by R, G, B, linear radiance, in the frame of docs/conventions.md. [H, W, 3, 3]
+
+    Raises:
+        UserError: the file is missing, truncated, corrupt or lacks a channel.
+    """
     pixels = read_image(path, STOKES)
     return pixels.reshape(*pixels.shape[:2], 3, 3)
 
 
 def write_stokes(path: str | Path, stokes: np.ndarray, half: bool = False, peak: float | None = None) -> None:
-    """Write a Stokes image [H, W, 3 (s0 s1 s2), 3 (R G B)] with channels S0.R .. S2.B.
+    """Write a Stokes image as an EXR with channels S0.R .. S2.B.
 
-    `peak`: its largest magnitude, where known, spares looking for values that halves cannot hold.
+    Args:
+        path: the file; its folder exists.
+        stokes: s0, s1, s2 by R, G, B, linear radiance. [H, W, 3, 3]
+        half: use half floats, unless a value would overflow them.
+        peak: largest magnitude in `stokes`, where known: spares looking for it.
+
+    Raises:
+        UserError: the file cannot be written.
     """
     flat = np.ascontiguousarray(stokes, np.float32).reshape(*stokes.shape[:2], 9)
     half = half and (_fits_half(flat) if peak is None else peak <= HALF_MAX)
@@ -147,9 +241,15 @@ def write_stokes(path: str | Path, stokes: np.ndarray, half: bool = False, peak:
 
 
 def write_exr(path: str | Path, channels: Mapping[str, np.ndarray], half: bool = False) -> None:
-    """Write named [H, W] channels as a zip-compressed EXR whose bytes depend on the pixels alone.
+    """Write named channels as a zip-compressed EXR whose bytes depend on the pixels alone.
 
-    Half floats are used when asked for, unless a value would overflow them. Raises UserError when it cannot write.
+    Args:
+        path: the file; its folder exists.
+        channels: by name. [H, W] each
+        half: use half floats, unless a value would overflow them.
+
+    Raises:
+        UserError: the file cannot be written.
     """
     names = list(channels)
     pixels = np.ascontiguousarray(np.stack([np.asarray(channels[n], np.float32) for n in names], -1))
@@ -162,12 +262,29 @@ def _fits_half(pixels: np.ndarray) -> bool:
 
 
 def write_rgb(path: str | Path, rgb: np.ndarray) -> None:
-    """Write linear [H, W, 3] float pixels to .exr or .hdr by suffix."""
+    """Write a colour image as .exr or .hdr, by the path's suffix.
+
+    Args:
+        path: the file; its folder exists.
+        rgb: linear. [H, W, 3]
+
+    Raises:
+        UserError: the file cannot be written.
+    """
     write_pixels(Path(path), np.ascontiguousarray(rgb, np.float32), "float", list(RGB), {"compression": EXR_COMPRESSION})
 
 
 def write_png(path: str | Path, pixels: np.ndarray, bits: int = 8) -> None:
-    """Write a PNG of 8 or 16 bits from integers of as many, or from floats in 0..1 ([H, W], [H, W, 1|3|4])."""
+    """Write a PNG.
+
+    Args:
+        path: the file; its folder exists.
+        pixels: integers of `bits` bits as they are; or floats 0..1, clipped, NaN as 0. [H, W] or [H, W, 1, 3 or 4]
+        bits: 8 or 16.
+
+    Raises:
+        UserError: the file cannot be written.
+    """
     kind = f"uint{bits}"
     if pixels.dtype != kind:
         pixels = (np.clip(np.nan_to_num(pixels), 0, 1) * (2**bits - 1) + 0.5).astype(kind)
@@ -177,22 +294,54 @@ def write_png(path: str | Path, pixels: np.ndarray, bits: int = 8) -> None:
 
 
 def read_mask(path: str | Path) -> np.ndarray:
-    """Object mask bool [H, W]: above 127 of 255 in the first channel is object. Raises UserError."""
+    """Read an object mask of our own.
+
+    Args:
+        path: an 8-bit image.
+
+    Returns:
+        True where the first channel is above 127. [H, W]
+
+    Raises:
+        UserError: the file is missing, truncated or corrupt.
+    """
     return read_image(path)[..., 0] > 127.5 / 255.0
 
 
 def write_mask(path: str | Path, mask: np.ndarray) -> None:
-    """Write a bool [H, W] mask as an 8-bit PNG of 0 and 255."""
+    """Write an object mask as an 8-bit PNG of 0 and 255.
+
+    Args:
+        path: the file; its folder exists.
+        mask: True inside. [H, W]
+
+    Raises:
+        UserError: the file cannot be written.
+    """
     write_png(path, np.asarray(mask, np.uint8) * np.uint8(255))
 
 
 def srgb_encode(linear: np.ndarray) -> np.ndarray:
-    """Linear to sRGB, IEC 61966-2-1; clipped to [0, 1]."""
+    """Put the sRGB transfer curve on (IEC 61966-2-1).
+
+    Args:
+        linear: clipped to 0..1. [...]
+
+    Returns:
+        Encoded values 0..1, float32. [...]
+    """
     x = np.clip(linear, 0.0, 1.0)
     return np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** (1 / 2.4) - 0.055).astype(np.float32)
 
 
 def srgb_decode(encoded: np.ndarray) -> np.ndarray:
-    """SRGB in [0, 1] to linear, IEC 61966-2-1."""
+    """Take the sRGB transfer curve off (IEC 61966-2-1).
+
+    Args:
+        encoded: 0..1; more goes on along the curve, negative values along its linear foot. [...]
+
+    Returns:
+        Linear values, float32. [...]
+    """
     x = np.asarray(encoded, np.float32)
     return np.where(x <= 0.04045, x / 12.92, ((np.maximum(x, 0) + 0.055) / 1.055) ** 2.4).astype(np.float32)

@@ -13,7 +13,18 @@ LARGEST = 1 << 28
 
 
 def read_json(path: Path, remedy: str = "export it again") -> Any:
-    """What a JSON file holds. Raises UserError where it is no regular file, too large, no JSON or nested past all sense."""
+    """Read a JSON file of anybody's.
+
+    Args:
+        path: the file.
+        remedy: what to do about a broken one, for the error.
+
+    Returns:
+        What it holds.
+
+    Raises:
+        UserError: it is no regular file, missing, larger than `LARGEST`, no JSON, or nested past all sense.
+    """
     if path.exists() and not path.is_file():
         raise UserError(path, "is not a regular file", remedy)
     try:

@@ -26,7 +26,14 @@ class Ply:
     """What a PLY file holds; opening it reads and checks all of it."""
 
     def __init__(self, path: Path) -> None:
-        """Raises UserError in one line where there is no such file, or it is damaged or no PLY."""
+        """Read and check a file.
+
+        Args:
+            path: the PLY.
+
+        Raises:
+            UserError: there is no such file, or it is damaged or no PLY.
+        """
         self.path = path
         if not path.is_file():
             raise UserError(path, "no such file", "check the path and the name")
@@ -72,10 +79,14 @@ class Ply:
 def write_ply(
     path: Path, vertices: Mapping[str, NDArray], faces: NDArray | None = None, text: bool = False, comments: Sequence[str] = ()
 ) -> None:
-    """Write vertex properties by name [V] each and, where given, triangles [F, 3].
+    """Write a mesh or a cloud of points.
 
-    Columns of uint8 become uchar, all others float (32 bits). text: ascii with TEXT_DIGITS significant digits, else binary.
-    comments: lines for the header.
+    Args:
+        path: the file; its folder is made.
+        vertices: property to its values; uint8 becomes uchar, all else float (32 bits). [V] each
+        faces: vertex numbers of triangles; None: no faces. [F, 3]
+        text: write ascii with TEXT_DIGITS significant digits, instead of binary little-endian.
+        comments: lines for the header.
     """
     columns = {n: np.asarray(c) for n, c in vertices.items()}
     columns = {n: c if c.dtype == np.uint8 else c.astype("<f4" if not text else np.float64) for n, c in columns.items()}

@@ -28,7 +28,13 @@ def _widen_chunk(bits: NDArray[np.uint16], out: NDArray[np.float32], out_bits: N
 
 @kernel(nogil=True)
 def widen_halves(bits: NDArray[np.uint16], out: NDArray[np.float32], out_bits: NDArray[np.uint32]) -> None:
-    """Half floats, as their bits [N], to floats [N]; `out_bits` is a view of `out`. Exact, also for NaN and infinity."""
+    """Widen half floats to single ones, exactly, also NaN and infinity.
+
+    Args:
+        bits: the halves' bits. [N]
+        out: filled. [N]
+        out_bits: a view of `out`. [N]
+    """
     for start in range(0, bits.size, CHUNK):
         stop = start + CHUNK
         _widen_chunk(bits[start:stop], out[start:stop], out_bits[start:stop])
@@ -36,14 +42,27 @@ def widen_halves(bits: NDArray[np.uint16], out: NDArray[np.float32], out_bits: N
 
 @kernel(nogil=True)
 def look_up(codes: NDArray, table: NDArray[np.float32], out: NDArray[np.float32]) -> None:
-    """out [N] = table[codes [N]]; the table has an entry for every code."""
+    """Decode stored samples by a table.
+
+    Args:
+        codes: unsigned integers. [N]
+        table: value of every possible code. [codes]
+        out: filled. [N]
+    """
     for i in range(codes.size):
         out[i] = table[codes[i]]
 
 
 @kernel(nogil=True)
 def mark_at_least(codes: NDArray, limit: int, alpha: int, out: NDArray[np.bool_]) -> None:
-    """out [P] = whether any colour of codes [P, C] reaches `limit`; the channel `alpha` (-1: none) is left out."""
+    """Mark the pixels of which any colour reaches a limit, as saturated ones do.
+
+    Args:
+        codes: unsigned integers. [P, C]
+        limit: lowest code that counts.
+        alpha: channel that is left out, -1: none.
+        out: filled. [P]
+    """
     pixels, channels = codes.shape
     for p in range(pixels):
         top = np.int64(0)

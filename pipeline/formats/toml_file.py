@@ -10,7 +10,18 @@ from pipeline.errors import UserError
 
 
 def read_toml(path: Path, remedy: str) -> dict[str, Any]:
-    """The table that a TOML file holds. Raises UserError where it cannot be read, is no TOML or nested past all sense."""
+    """Read a TOML file of anybody's.
+
+    Args:
+        path: the file.
+        remedy: what to do about a broken one, for the error.
+
+    Returns:
+        Its table.
+
+    Raises:
+        UserError: it cannot be read, is no TOML, or is nested past all sense.
+    """
     try:
         return tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:

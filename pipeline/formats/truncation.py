@@ -25,7 +25,14 @@ def refuse_garbled_name(path: Path) -> None:
 
 
 def refuse_truncated(path: Path) -> None:
-    """Raise UserError where a PNG or TIFF-like file (DNG) ends before its pixels do; other files pass."""
+    """Refuse a PNG, TIFF or DNG that ends before its pixels do; other files pass.
+
+    Args:
+        path: the file, which exists.
+
+    Raises:
+        UserError: it is truncated.
+    """
     size = path.stat().st_size
     with path.open("rb") as file:
         head = file.read(8)

@@ -19,11 +19,21 @@ SMALLEST, LARGEST = 1.2e-38, 3.4e38
 
 
 def typed(value: Any, kind: Any, key: str, source: str, text: bool = False) -> Any:
-    """`value` as the type `kind`: bool, int, float, str, Any, a Literal, an optional, a tuple or dict of these, a dataclass.
+    """Check and convert one setting: one rule for capture.toml and the command line.
 
-    value: as TOML reads it, where a number is no text and nothing but true and false is a truth value; or with `text`, what was
-    written on a command line: numbers, true, false and none are spelt out, lists are split at commas and spaces. Numbers with
-    a fraction are no whole numbers. key, source: for the words of the UserError that anything else raises.
+    Args:
+        value: as TOML reads it, where a number is no text and nothing but true and false is a truth value; or with `text` as
+            written on a command line, where numbers, true, false and none are spelt out and lists split at commas and spaces.
+        kind: bool, int, float, str, Any, a Literal, an optional, a tuple or dict of these, or a dataclass.
+        key: the setting's name, for errors.
+        source: where it stands, for errors.
+        text: the value comes from a command line.
+
+    Returns:
+        The value as `kind`; a number with a fraction is no int.
+
+    Raises:
+        UserError: the value is not of that type, not one of the choices, or not finite where it must be.
     """
     origin, arguments = typing.get_origin(kind), typing.get_args(kind)
     if kind is Any:
@@ -48,7 +58,21 @@ def typed(value: Any, kind: Any, key: str, source: str, text: bool = False) -> A
 
 
 def filled(cls: Any, table: dict[str, Any], prefix: str, source: str, hidden: tuple[str, ...] = ()) -> Any:
-    """The dataclass with the values of a TOML table; `hidden` fields are none of its keys. Raises UserError."""
+    """Make a settings dataclass from a TOML table.
+
+    Args:
+        cls: the dataclass; its type hints say what each key may be.
+        table: key to value, as TOML reads it.
+        prefix: of the keys in errors, such as "stokes.".
+        source: where the table stands, for errors.
+        hidden: fields that are no keys of it.
+
+    Returns:
+        An instance; keys that the table lacks keep their defaults.
+
+    Raises:
+        UserError: a key is unknown or a value not of its type.
+    """
     hints = typing.get_type_hints(cls)
     known = [f.name for f in dataclasses.fields(cls) if f.name not in hidden]
     for key in table:

@@ -10,9 +10,14 @@ MOST_PARALLEL = 1e6
 
 
 def nearest_to_lines(origins: NDArray, directions: NDArray) -> NDArray[np.float64] | None:
-    """The point [3] nearest to all lines (least squares) through origins [N, 3] along unit directions [N, 3].
+    """Find the point nearest to all of a set of lines, in the least-squares sense.
 
-    None where the lines are parallel, as one line alone is.
+    Args:
+        origins: a point on each line. [N, 3]
+        directions: unit. [N, 3]
+
+    Returns:
+        The point, in the origins' units; None where the lines are parallel, as one alone is. [3]
     """
     across = np.eye(3) - directions[:, :, None] * directions[:, None, :]
     total = across.sum(0)

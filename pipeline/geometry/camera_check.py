@@ -49,7 +49,19 @@ AnyCamera = TypeVar("AnyCamera", bound=CameraLike)
 
 
 def check_camera(camera: AnyCamera, path: str | Path, what: str) -> AnyCamera:
-    """The camera, if it can be one. Raises UserError on `path`, naming `what` (the frame, the image) and the fault."""
+    """Check that a camera can be one: size, focal lengths, principal point, a rigid and finite pose.
+
+    Args:
+        camera: as read.
+        path: its file, for errors.
+        what: the frame or image that it is of, for errors.
+
+    Returns:
+        The camera itself.
+
+    Raises:
+        UserError: it can be no camera; says why.
+    """
     fault, remedy = _fault(camera)
     if fault:
         raise UserError(path, f"{what}: {fault}", remedy)
@@ -96,7 +108,15 @@ FEWEST_TO_JUDGE = 8
 
 
 def refuse_one_place(cameras: Mapping[str, CameraLike], path: str | Path) -> None:
-    """Raise UserError where all cameras stand at one place: nothing of a shape can be known from there."""
+    """Refuse cameras that all stand at one place, from where no shape can be known; fewer than `FEWEST_TO_JUDGE` pass.
+
+    Args:
+        cameras: by view.
+        path: their file, for errors.
+
+    Raises:
+        UserError: all stand within `SAME_PLACE` of each other.
+    """
     if len(cameras) < FEWEST_TO_JUDGE:
         return
     centres = np.stack([camera.centre for camera in cameras.values()])

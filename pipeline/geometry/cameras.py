@@ -26,8 +26,16 @@ RAY_ROWS = 32  # of a frame that are solved together: a large frame's rays are l
 class Camera:
     """One view's camera: a pinhole, or one with a lens that bends lines until the poses stage has straightened its frames.
 
-    Lengths in world units, focal lengths and principal point in pixels. `name` is the physical camera (= polariser).
-    `lens` is a model of `lens_models` and `distortion` its coefficients (none: a pinhole).
+    Axes are OpenCV's (x right, y down, z ahead), pixel centres lie at +0.5.
+
+    Fields:
+        width, height: pixels.
+        fx, fy: focal lengths, pixels.
+        cx, cy: principal point, pixels.
+        world_to_camera: rigid, lengths in world units. [4, 4]
+        distortion: coefficients of `lens`; none: a pinhole.
+        name: of the physical camera, which stands for its polariser.
+        lens: a model of `lens_models`.
     """
 
     width: int
@@ -110,14 +118,28 @@ class Camera:
 
 
 def camera_from_opengl(matrix: np.ndarray) -> np.ndarray:
-    """World-to-camera (OpenCV) [4, 4] of an OpenGL camera-to-world matrix [4, 4] or [3, 4]."""
+    """Convert an OpenGL camera-to-world matrix (x right, y up, looking along -z) to an OpenCV world-to-camera one.
+
+    Args:
+        matrix: rigid. [4, 4] or [3, 4]
+
+    Returns:
+        World-to-camera. [4, 4]
+    """
     full = np.eye(4)
     full[: len(matrix)] = matrix
     return np.linalg.inv(full @ OPENGL_FROM_OPENCV)
 
 
 def opengl_from_camera(world_to_camera: np.ndarray) -> np.ndarray:
-    """OpenGL camera-to-world [4, 4] of a world-to-camera (OpenCV) matrix [4, 4]."""
+    """Convert an OpenCV world-to-camera matrix to an OpenGL camera-to-world one.
+
+    Args:
+        world_to_camera: rigid. [4, 4]
+
+    Returns:
+        Camera-to-world. [4, 4]
+    """
     return np.linalg.inv(world_to_camera) @ OPENGL_FROM_OPENCV
 
 
@@ -126,7 +148,14 @@ _ANGLES = ("camera_angle_x", "camera_angle_y")
 
 
 def frame_of(camera: Camera) -> dict[str, Any]:
-    """A camera as the keys of a nerfstudio frame; `camera_from_frame` reads it back."""
+    """Write a camera as the keys of a nerfstudio frame; `camera_from_frame` reads it back.
+
+    Args:
+        camera: any.
+
+    Returns:
+        Size, intrinsics (pixels), lens model and coefficients, OpenGL camera-to-world `transform_matrix`.
+    """
     model = {} if camera.lens == PINHOLE else {"camera_model": camera.lens}
     names = MODELS[camera.lens].names
     coefficients = dict(zip(names, (*camera.distortion, *(0.0,) * len(names))))
@@ -140,10 +169,13 @@ def save_cameras(
     files: Mapping[str, str] | None = None,
     offset: np.ndarray | None = None,
 ) -> None:
-    """Write cameras by VIEW in nerfstudio's `transforms.json` schema, intrinsics per frame.
+    """Write cameras in nerfstudio's `transforms.json` schema, intrinsics per frame.
 
-    `files`: each VIEW's image, relative to `path`. `offset` [3] (none: zero) is what was taken from all positions:
-    true position = position in the file + offset.
+    Args:
+        path: the file; its folder exists.
+        cameras: by VIEW; written in the views' sorted order.
+        files: VIEW to its image, relative to the file's folder; None: VIEW itself.
+        offset: what was taken from all positions, world units: true position = position in the file + offset; None: zero. [3]
     """
     frames = [
         {"file_path": (files or {}).get(view, view), "view": view, "camera": camera.name, **frame_of(camera)}
@@ -154,7 +186,19 @@ def save_cameras(
 
 
 def camera_from_frame(frame: Mapping[str, Any], shared: Mapping[str, Any], path: Path) -> Camera:
-    """The camera of one `transforms.json` frame; intrinsics from the frame, else from the file. Raises UserError."""
+    """Read the camera of one frame of a `transforms.json` (nerfstudio's schema).
+
+    Args:
+        frame: the frame's keys; its intrinsics go before the file's.
+        shared: the file's own keys.
+        path: the file, for errors.
+
+    Returns:
+        The camera; its name is the frame's `camera`.
+
+    Raises:
+        UserError: a key is missing or no number, or the result can be no camera.
+    """
     what = f"frame {frame.get('file_path', '?')}"
     entry = {**shared, **frame}
     lens, distortion = lens_of(frame, shared, path, what)
@@ -215,14 +259,34 @@ def _matrix(value: Any, path: Path, what: str) -> np.ndarray:
 
 
 def load_cameras(path: str | Path) -> dict[str, Camera]:
-    """Cameras by VIEW from a file that `save_cameras` wrote. Raises UserError."""
+    """Read the cameras that `save_cameras` wrote.
+
+    Args:
+        path: the file.
+
+    Returns:
+        Cameras by VIEW, in file order; positions less the file's `world_offset`.
+
+    Raises:
+        UserError: the file is missing or damaged, or holds what can be no camera.
+    """
     path = Path(path)
     table = _written(path)
     return {frame["view"]: camera_from_frame(frame, table, path) for frame in table["frames"]}
 
 
 def world_offset(path: str | Path) -> np.ndarray:
-    """What `save_cameras` took from all positions, float64 [3]. Raises UserError."""
+    """Read what `save_cameras` says was taken from all positions.
+
+    Args:
+        path: the file.
+
+    Returns:
+        The offset, world units, zero where the file has none. [3]
+
+    Raises:
+        UserError: the file is missing or damaged.
+    """
     return np.array(_written(Path(path)).get("world_offset", (0.0, 0.0, 0.0)), float)
 
 

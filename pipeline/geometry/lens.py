@@ -27,22 +27,40 @@ NOTICEABLE_PX = 0.05
 
 
 def frames_folder(inputs: Mapping[str, Path]) -> Path:
-    """The folder whose frames.json and frames/ fit cameras.json, of a stage's inputs in the order that it needs them.
+    """Find the folder whose frames.json and frames/ fit cameras.json: decode's, or that of poses where it resampled the frames.
 
-    The last that has frames: decode's, or those of poses where it resampled them. Where none has (a light stage), the first.
+    Args:
+        inputs: a stage's inputs, stage to folder, in the order that it needs them.
+
+    Returns:
+        The last folder that has frames; where none has (a light stage), the first.
     """
     folders = list(inputs.values())
     return next((folder for folder in reversed(folders) if (folder / FRAMES).is_file()), folders[0])
 
 
 def frame_table(inputs: Mapping[str, Path]) -> dict[str, dict[str, Any]]:
-    """The views of that folder's frames.json; its files are relative to the folder."""
+    """Read what is known of the frames that fit cameras.json.
+
+    Args:
+        inputs: a stage's inputs, stage to folder, in the order that it needs them.
+
+    Returns:
+        VIEW to its entry in frames.json; the files it names are relative to `frames_folder(inputs)`.
+    """
     table: dict[str, dict[str, Any]] = json.loads((frames_folder(inputs) / FRAMES).read_text(encoding="utf-8"))["views"]
     return table
 
 
 def lenses(inputs: Mapping[str, Path]) -> dict[str, Straightener]:
-    """What resampled the frames of cameras that bend lines, by VIEW; empty where no input did."""
+    """Make the resampling again that the poses stage applied to frames of lenses that bend lines.
+
+    Args:
+        inputs: a stage's inputs, stage to folder.
+
+    Returns:
+        VIEW to its straightener; empty where nothing was resampled.
+    """
     folder = next((folder for folder in inputs.values() if (folder / LENSES).is_file()), None)
     if folder is None:
         return {}
@@ -51,7 +69,14 @@ def lenses(inputs: Mapping[str, Path]) -> dict[str, Straightener]:
 
 
 def bends(camera: Camera) -> bool:
-    """Whether the lens moves any pixel of the frame noticeably from where a pinhole would see it."""
+    """Say whether a lens moves any pixel by more than `NOTICEABLE_PX` from where a pinhole would see it.
+
+    Args:
+        camera: any.
+
+    Returns:
+        True too where the lens has no ray for a part of the frame.
+    """
     if camera.is_pinhole:
         return False
     u, v = np.meshgrid(np.linspace(0, camera.width, 17), np.linspace(0, camera.height, 17))
@@ -120,6 +145,12 @@ class Straightener:
     """
 
     def __init__(self, source: Camera, target: Camera) -> None:
+        """Find where each pixel of the pinhole lies in the frame.
+
+        Args:
+            source: the camera as it took the frames.
+            target: a pinhole at the same place.
+        """
         turn = target.world_to_camera[:3, :3] @ source.world_to_camera[:3, :3].T
         same = np.abs(turn - np.eye(3)).max() < 1e-12
         key = UNTURNED if same else tuple(turn.ravel().tolist())

@@ -89,7 +89,14 @@ def _model(table: Mapping[str, Any], path: Path, what: str) -> tuple[str, str, t
 
 
 def coefficient_names(model: str) -> tuple[str, ...]:
-    """The coefficients of a COLMAP model, in its order. Empty for one that is not known."""
+    """Name the coefficients of a COLMAP lens model.
+
+    Args:
+        model: COLMAP's name for it.
+
+    Returns:
+        Names in COLMAP's order; empty for a model that is not known.
+    """
     return SHORTER[model][1] if model in SHORTER else MODELS[model].names if model in MODELS else ()
 
 

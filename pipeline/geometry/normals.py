@@ -11,7 +11,16 @@ UPWARD = (0.0, 0.0, 1.0)
 def vertex_normals(
     vertices: NDArray, triangles: NDArray, without: tuple[float, float, float] = (0.0, 0.0, 0.0)
 ) -> NDArray[np.float64]:
-    """Unit normals [V, 3]: area-weighted means of the faces'; `without` at vertices whose faces have no area (or no faces)."""
+    """Compute vertex normals as area-weighted means of the faces'.
+
+    Args:
+        vertices: positions. [V, 3]
+        triangles: vertex numbers, counter-clockwise from outside. [F, 3]
+        without: normal of vertices with no face, or only faces of no area.
+
+    Returns:
+        Unit normals. [V, 3]
+    """
     area = cross_products(vertices, triangles)
     total = np.zeros(vertices.shape)
     for k, axis in np.ndindex(3, 3):
@@ -21,6 +30,14 @@ def vertex_normals(
 
 
 def cross_products(vertices: NDArray, triangles: NDArray) -> NDArray[np.float64]:
-    """Outward vectors [F, 3] across triangles, twice their area long."""
+    """Compute the vectors across triangles.
+
+    Args:
+        vertices: positions. [V, 3]
+        triangles: vertex numbers, counter-clockwise from outside. [F, 3]
+
+    Returns:
+        Outward vectors, each twice its triangle's area long. [F, 3]
+    """
     a, b, c = (vertices[triangles[:, k].astype(np.int64)].astype(np.float64) for k in range(3))
     return np.cross(b - a, c - a)

@@ -31,9 +31,16 @@ class Hits:
 
 
 class Occluder:
-    """A triangle mesh to cast rays at (Embree). Vertices [V, 3], triangles [F, 3]; normals [V, 3] point outwards."""
+    """A triangle mesh to cast rays at (Embree), whose inner sides hide nothing."""
 
     def __init__(self, vertices: NDArray, triangles: NDArray, normals: NDArray | None = None) -> None:
+        """Build the ray structure.
+
+        Args:
+            vertices: positions, world units. [V, 3]
+            triangles: vertex numbers, counter-clockwise from outside. [F, 3]
+            normals: unit, outward; None: from the faces. [V, 3]
+        """
         self.vertices = np.ascontiguousarray(vertices, np.float32)
         self.triangles = np.ascontiguousarray(triangles, np.uint32)
         if normals is None:
@@ -67,7 +74,16 @@ class Occluder:
 
 
 def simplified(vertices: NDArray, triangles: NDArray, faces: int = 20_000) -> tuple[NDArray, NDArray]:
-    """(vertices, triangles) of a mesh of at most about `faces` triangles (quadric decimation): shadows need no more."""
+    """Reduce a mesh to what shadows need (quadric decimation, by Open3D).
+
+    Args:
+        vertices: positions. [V, 3]
+        triangles: vertex numbers. [F, 3]
+        faces: triangles to keep, about; a mesh of no more comes back as it is.
+
+    Returns:
+        Vertices [V', 3] and triangles [F', 3].
+    """
     if len(triangles) <= faces:
         return vertices, triangles
     import open3d
@@ -82,7 +98,16 @@ def simplified(vertices: NDArray, triangles: NDArray, faces: int = 20_000) -> tu
 
 
 def tangent_frames(normals: NDArray) -> NDArray[np.float64]:
-    """Rows (t, b, n) [P, 3, 3] about unit normals [P, 3], without a singular direction (Duff et al. 2017)."""
+    """Build an orthonormal frame about each normal, without a singular direction.
+
+    Source: Duff et al. 2017, "Building an Orthonormal Basis, Revisited", JCGT 6(1), Listing 3.
+
+    Args:
+        normals: unit. [P, 3]
+
+    Returns:
+        Rows t, b, n. [P, 3, 3]
+    """
     x, y, z = np.moveaxis(np.asarray(normals, np.float64), -1, 0)
     sign = np.where(z >= 0, 1.0, -1.0)
     a = -1 / (sign + z)

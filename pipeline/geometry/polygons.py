@@ -7,10 +7,18 @@ from numpy.typing import NDArray
 
 
 def triangulated(lengths: NDArray[np.int64], corners: NDArray[np.int64], vertices: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Polygons as triangles [F, 3] in the polygons' order, each as a fan.
+    """Cut polygons into triangles, each as a fan.
 
-    The fan starts at the first corner from which no triangle of it turns over: all of a convex polygon's, one at least of a
-    concave quadrilateral's. Faces of fewer than three corners hold no triangle.
+    The fan starts at the first corner from which no triangle of it turns over: any corner of a convex polygon, at least one of
+    a concave quadrilateral. Faces of fewer than three corners hold no triangle.
+
+    Args:
+        lengths: corners of each polygon. [F]
+        corners: their vertex numbers, one polygon after another. [sum of lengths]
+        vertices: positions. [V, 3]
+
+    Returns:
+        Vertex numbers of the triangles, in the polygons' order. [T, 3]
     """
     begins = np.cumsum(lengths) - lengths
     parts, places = [], []

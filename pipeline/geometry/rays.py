@@ -48,9 +48,15 @@ class Closest:
 
 
 class RayMesh:
-    """A triangle mesh to cast rays at: vertices [V, 3], triangles [F, 3]. Positions and directions are taken as float32."""
+    """A triangle mesh to cast rays at. Positions and directions are taken as float32."""
 
     def __init__(self, vertices: NDArray, triangles: NDArray) -> None:
+        """Build the ray structure.
+
+        Args:
+            vertices: positions, world units. [V, 3]
+            triangles: vertex numbers, counter-clockwise from outside. [F, 3]
+        """
         import open3d
 
         o3d: Any = open3d
@@ -79,6 +85,12 @@ class RayMesh:
     def crossings(self, origins: NDArray, directions: NDArray) -> NDArray[np.int32]:
         """How often rays [..., 3] cross the mesh."""
         return self._scene.count_intersections(self._rays(origins, directions)).numpy()
+
+    def every_hit(self, origins: NDArray, directions: NDArray) -> tuple[NDArray, NDArray, NDArray[np.float32]]:
+        """Every hit of rays [R, 3], not the first alone [K]: ray, triangle (int64), distance in lengths of its direction."""
+        found = self._scene.list_intersections(self._rays(origins, directions))
+        ray, triangle = (found[name].numpy().astype(np.int64) for name in ("ray_ids", "primitive_ids"))
+        return ray, triangle, found["t_hit"].numpy()
 
     def closest(self, points: NDArray) -> Closest:
         """The mesh's points closest to points [P, 3]."""

@@ -26,8 +26,14 @@ UNSEEN = 0.5
 
 
 def two_worlds(first: Mapping[str, Camera], second: Mapping[str, Camera]) -> str | None:
-    """Why two physical cameras (by view, named alike where they were taken together) have no common world; None if nothing
-    says so."""
+    """Judge whether two physical cameras whose poses were found apart share one world.
+
+    Args:
+        first, second: the cameras' views; views that were taken together have the same name.
+
+    Returns:
+        What speaks against it, to follow the cameras' names; None where nothing does.
+    """
     common = sorted(set(first) & set(second))
     if len(common) >= FEWEST:
         pair = [first[name] for name in common], [second[name] for name in common]

@@ -17,16 +17,27 @@ MIN_VIEW_FRACTION = 0.5  # points outside the frame of more than this share of t
 
 @dataclass(frozen=True)
 class Silhouette:
-    """One view's mask (coverage 0..1, [H, W]) with its camera."""
+    """One view's mask with its camera.
+
+    Fields:
+        camera: a pinhole of the mask's size.
+        mask: coverage by the object, 0..1. [H, W]
+    """
 
     camera: Camera
     mask: np.ndarray
 
 
 def signed_distance(mask: np.ndarray, offset: float = 0.0, blur: float = 0.7) -> np.ndarray:
-    """Signed distance in pixels to the mask's contour, positive inside, float32 [H, W].
+    """Compute the signed distance of pixels to a mask's contour.
 
-    `offset` grows the mask; `blur` (pixels) takes the stair steps out of it.
+    Args:
+        mask: coverage 0..1; where it lies between, the contour is found to a fraction of a pixel. [H, W]
+        offset: pixels by which the mask is grown.
+        blur: sigma of a Gaussian that takes the stair steps out, pixels.
+
+    Returns:
+        Distance in pixels, positive inside, float32; 1000 or -1000 all over for a full or an empty mask. [H, W]
     """
     inside = mask > 0.5
     if not inside.any() or inside.all():
@@ -40,7 +51,17 @@ def signed_distance(mask: np.ndarray, offset: float = 0.0, blur: float = 0.7) ->
 
 
 def bounds(silhouettes: Sequence[Silhouette]) -> tuple[np.ndarray, float]:
-    """Centre [3] and half-size of a cube that holds the object: where the rays through the mask centroids meet best."""
+    """Find a cube that holds the object: about the point where the rays through the masks' centroids meet best.
+
+    Args:
+        silhouettes: views; those with an empty mask are passed over.
+
+    Returns:
+        Centre [3] and half the side, world units.
+
+    Raises:
+        UserError: every mask is empty, all views look along one line, or they look away from each other.
+    """
     centres, directions, spreads = [], [], []
     for s in silhouettes:
         ys, xs = np.nonzero(s.mask > 0.5)
@@ -69,13 +90,24 @@ def bounds(silhouettes: Sequence[Silhouette]) -> tuple[np.ndarray, float]:
 def occupancy(
     silhouettes: Sequence[Silhouette], distances: Sequence[np.ndarray], points: np.ndarray, outvoted: int = 0
 ) -> np.ndarray:
-    """Signed distance to the hull (world units, positive inside) at points [M, 3].
+    """Compute the signed distance of points to the visual hull.
 
-    A point outside a picture is not judged by it; one that fewer than half of the pictures judge is outside. With
-    `outvoted` = k the k most negative views are overruled, which forgives that many bad masks.
+    A point outside a picture is not judged by it; one that less than `MIN_VIEW_FRACTION` of the pictures judge is outside.
+
+    Args:
+        silhouettes: views.
+        distances: `signed_distance` of each view's mask, pixels. [H, W] each
+        points: world positions. [M, 3]
+        outvoted: so many of the most negative views are overruled at each point, which forgives as many bad masks.
+
+    Returns:
+        Distance in world units, positive inside, float32. [M]
     """
     worst = np.full((outvoted + 1, len(points)), np.inf, np.float32)
     judges = np.zeros(len(points), np.int32)
+    if not outvoted:
+        _judge_all(silhouettes, distances, points, worst[0], judges)
+        return _judged(worst[0], judges, len(silhouettes))
     for s, distance in zip(silhouettes, distances):
         pixels, z = s.camera.project(points)
         height, width = distance.shape
@@ -86,14 +118,46 @@ def occupancy(
         length = np.full(len(points), np.inf, np.float32)
         judges += seen
         length[seen] = value * (z[seen] / (0.5 * (s.camera.fx + s.camera.fy))).astype(np.float32)
-        worst = np.sort(np.concatenate([worst, length[None]]), 0)[: outvoted + 1] if outvoted else np.minimum(worst, length)
-    far = max(float(np.abs(worst[np.isfinite(worst)]).max()) if np.isfinite(worst).any() else 1.0, 1e-30)
-    judged = judges >= max(2, MIN_VIEW_FRACTION * len(silhouettes))
-    return np.where(judged & np.isfinite(worst[-1]), worst[-1], -far).astype(np.float32)
+        worst = np.sort(np.concatenate([worst, length[None]]), 0)[: outvoted + 1]
+    return _judged(worst[-1], judges, len(silhouettes), worst)
+
+
+def _judge_all(
+    silhouettes: Sequence[Silhouette],
+    distances: Sequence[np.ndarray],
+    points: np.ndarray,
+    worst: np.ndarray,
+    judges: np.ndarray,
+) -> None:
+    """Least signed distance [M] (it comes as infinity) and number of judges [M], a picture at a time, in one pass each."""
+    from .silhouette_kernel import judge
+
+    places = np.ascontiguousarray(points, np.float64)
+    for s, distance in zip(silhouettes, distances):
+        lens = np.array([s.camera.fx, s.camera.fy, s.camera.cx, s.camera.cy])
+        matrix = np.ascontiguousarray(s.camera.world_to_camera, np.float64)
+        judge(places, matrix, lens, np.ascontiguousarray(distance, np.float64), worst, judges)
+
+
+def _judged(worst: np.ndarray, judges: np.ndarray, pictures: int, all_: np.ndarray | None = None) -> np.ndarray:
+    """Distances [M] where enough of the pictures judge; elsewhere as far outside as anything is."""
+    finite = worst if all_ is None else all_
+    finite = finite[np.isfinite(finite)]
+    far = max(float(np.abs(finite).max()) if len(finite) else 1.0, 1e-30)
+    judged = judges >= max(2, MIN_VIEW_FRACTION * pictures)
+    return np.where(judged & np.isfinite(worst), worst, -far).astype(np.float32)
 
 
 def grid(low: np.ndarray, high: np.ndarray, spacing: float) -> tuple[np.ndarray, tuple[int, ...]]:
-    """Points [M, 3] of a grid from `low` to `high` or just beyond, in the order of its shape, which is returned too."""
+    """Lay a grid of points over a box.
+
+    Args:
+        low, high: corners of the box. [3]
+        spacing: between neighbours, in the same unit.
+
+    Returns:
+        Points from `low` to `high` or just beyond, x slowest [M, 3], and how many lie along x, y, z.
+    """
     # Counted, not stepped to an end: far from the origin the end would be met or missed by rounding.
     axes = [a + spacing * np.arange(int(np.ceil(round((b - a) / spacing, 6))) + 1) for a, b in zip(low, high)]
     return np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3), tuple(map(len, axes))

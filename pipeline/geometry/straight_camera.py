@@ -27,24 +27,50 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Straight:
-    """The pinhole `camera`, and whether it is known to hold all of the object."""
+    """The pinhole camera that a view is resampled to.
+
+    Fields:
+        camera: the pinhole.
+        whole: whether it is known to hold all of the object.
+    """
 
     camera: Camera
     whole: bool = True
 
 
 def is_wide(camera: Camera) -> bool:
-    """Whether the lens is no bent pinhole, so that a pinhole of the same matrix and size means little: fisheyes, spheres."""
+    """Say whether a lens is a fisheye or a sphere, so that a pinhole of the same matrix and size means little.
+
+    Args:
+        camera: any.
+
+    Returns:
+        True where the lens model reaches past what a perspective image can.
+    """
     return MODELS[camera.lens].reach > PERSPECTIVE_REACH
 
 
 def pinhole(camera: Camera) -> Camera:
-    """The same camera without its lens."""
+    """Take the lens off a camera.
+
+    Args:
+        camera: any.
+
+    Returns:
+        A pinhole of the same matrix, size and pose.
+    """
     return replace(camera, distortion=(), lens=PINHOLE)
 
 
 def unreached(camera: Camera) -> float:
-    """Share of the frame's edge where the lens model has folded: no ray comes there."""
+    """Compute the share of a frame's edge where the lens model has folded, so that no ray comes there.
+
+    Args:
+        camera: any.
+
+    Returns:
+        0..1, from 256 places along the edge.
+    """
     if camera.lens == "EQUIRECTANGULAR":
         return 0.0
     known = fold(camera.lens, camera.distortion)
@@ -61,7 +87,15 @@ def unreached(camera: Camera) -> float:
 
 
 def object_rays(camera: Camera, mask: NDArray[np.bool_]) -> Array:
-    """Rays [N, 3] of the camera's frame over the outline and the area of an object's mask [H, W]."""
+    """Find the rays over an object's mask, its extreme pixels among them.
+
+    Args:
+        camera: with its lens.
+        mask: True inside; of any size with the picture's aspect. [H, W]
+
+    Returns:
+        Rays in the camera's frame, at most about `OBJECT_POINTS`; pixels that no ray reaches are left out. [N, 3]
+    """
     rows, columns = np.nonzero(mask)
     if not len(rows):
         return np.zeros((0, 3))
@@ -73,11 +107,18 @@ def object_rays(camera: Camera, mask: NDArray[np.bool_]) -> Array:
 
 
 def straight_cameras(cameras: Mapping[str, Camera], objects: Mapping[str, Array]) -> dict[str, Straight]:
-    """The pinhole of every view. `objects`: rays [N, 3] of each view's object in its camera's frame, where known.
+    """Choose the pinhole that each view is resampled to.
 
     A bent pinhole keeps its matrix and size. A wider lens keeps its scale in the middle; the frame grows where the object
     (or, where it is not known, the picture up to WIDEST) asks for it, alike for all views of one lens; where that would
     grow too far, or the object lies past what a pinhole can show, the camera of that view is turned to the object.
+
+    Args:
+        cameras: by view.
+        objects: rays of each view's object in its camera's frame, where known. [N, 3] each
+
+    Returns:
+        The choice, by view.
     """
     out: dict[str, Straight] = {}
     groups: dict[tuple[object, ...], list[str]] = {}

@@ -14,8 +14,15 @@ Index = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Topology:
-    """components: connected pieces; genus: handles in all of them (None: not closed); open_edges: edges of one triangle;
-    crowded_edges: edges of three or more; inside_out: triangles against the normals of all their corners."""
+    """How a mesh hangs together.
+
+    Fields:
+        components: connected pieces.
+        genus: handles in all of them; None where the surface is not closed.
+        open_edges: edges of one triangle.
+        crowded_edges: edges of three or more.
+        inside_out: triangles against the normals of all their corners.
+    """
 
     components: int
     genus: int | None
@@ -25,13 +32,28 @@ class Topology:
 
 
 def edges_of(faces: NDArray) -> tuple[Index, Index]:
-    """The two vertices [E] each of every edge of triangles [F, 3], once; the first is the smaller number."""
+    """List each edge of a triangle mesh once.
+
+    Args:
+        faces: vertex numbers. [F, 3]
+
+    Returns:
+        Its two vertices, the smaller number first. [E] each
+    """
     first, second, _ = _counted_edges(faces)
     return first, second
 
 
 def pieces(faces: NDArray, vertices: int) -> tuple[int, NDArray[np.int32]]:
-    """The number of connected pieces, and the piece [V] of every vertex (one that no triangle uses is its own)."""
+    """Label the connected pieces of a triangle mesh.
+
+    Args:
+        faces: vertex numbers. [F, 3]
+        vertices: their count V.
+
+    Returns:
+        How many pieces, and each vertex's [V]; a vertex that no triangle uses is its own.
+    """
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 
@@ -42,7 +64,15 @@ def pieces(faces: NDArray, vertices: int) -> tuple[int, NDArray[np.int32]]:
 
 
 def topology(vertices: NDArray, faces: NDArray) -> Topology:
-    """Of vertices [V, 3] and triangles [F, 3]; vertices that no triangle uses do not count."""
+    """Describe how a triangle mesh hangs together; vertices that no triangle uses do not count.
+
+    Args:
+        vertices: positions. [V, 3]
+        faces: vertex numbers. [F, 3]
+
+    Returns:
+        Pieces, genus (None where the mesh is open or an edge has more than two faces), such edges, triangles inside out.
+    """
     used, faces = np.unique(faces, return_inverse=True)
     faces = faces.reshape(-1, 3)
     first, _, count = _counted_edges(faces)
@@ -54,7 +84,15 @@ def topology(vertices: NDArray, faces: NDArray) -> Topology:
 
 
 def inside_out(vertices: NDArray, faces: NDArray) -> NDArray[np.bool_]:
-    """Which triangles [F] look against the normals of all three of their corners: specks that are seen from behind."""
+    """Find triangles that face against the normals of all three of their corners: specks that are seen from behind.
+
+    Args:
+        vertices: positions. [V, 3]
+        faces: vertex numbers. [F, 3]
+
+    Returns:
+        True for those. [F]
+    """
     across = cross_products(vertices, faces)
     corner = vertex_normals(vertices, faces)[faces]
     return np.asarray((np.einsum("fc,fkc->fk", across, corner) < 0).all(1))

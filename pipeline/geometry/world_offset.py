@@ -20,8 +20,15 @@ LONGEST_HEADER = 1 << 14
 
 
 def offset_of(cameras: Mapping[str, Camera]) -> NDArray[np.float64]:
-    """What to take from all positions [3] so that float32 files keep them: zero unless a float32 step at the cameras' and the
-    object's coordinates is more than 1/STEPS_PER_PIXEL of a pixel's footprint on the object."""
+    """Choose what to take from all positions so that float32 files keep them.
+
+    Args:
+        cameras: by view, in the capture's coordinates.
+
+    Returns:
+        World units; zero unless a float32 step at the cameras' and the object's coordinates is more than 1/STEPS_PER_PIXEL of a
+        pixel's footprint on the object, else a round place near it. [3]
+    """
     if not cameras:
         return np.zeros(3)
     centres = np.stack([c.centre for c in cameras.values()])
@@ -38,7 +45,15 @@ def offset_of(cameras: Mapping[str, Camera]) -> NDArray[np.float64]:
 
 
 def less(camera: Camera, offset: NDArray[np.float64]) -> Camera:
-    """The camera in the world whose origin lies at `offset`."""
+    """Move a camera into the world whose origin lies at an offset.
+
+    Args:
+        camera: any.
+        offset: world units. [3]
+
+    Returns:
+        The camera with the offset taken from its centre.
+    """
     if not offset.any():
         return camera
     pose = camera.world_to_camera.copy()
@@ -47,14 +62,28 @@ def less(camera: Camera, offset: NDArray[np.float64]) -> Camera:
 
 
 def ply_comment(offset: NDArray[np.float64] | None) -> list[str]:
-    """The comment of a PLY that tells the offset; none where it is zero."""
+    """Write an offset as comments of a PLY.
+
+    Args:
+        offset: world units; None: zero. [3]
+
+    Returns:
+        One line, none where the offset is zero.
+    """
     if offset is None or not np.any(offset):
         return []
     return ["offset " + " ".join(repr(float(x)) for x in offset)]
 
 
 def stored_offset(path: Path) -> NDArray[np.float64]:
-    """The offset [3] that a PLY's header tells; zero where it tells none."""
+    """Read the offset from a PLY's header.
+
+    Args:
+        path: the PLY.
+
+    Returns:
+        World units; zero where the header has none. [3]
+    """
     with path.open("rb") as file:
         head = file.read(LONGEST_HEADER).partition(b"end_header")[0].decode("ascii", "replace")
     stated = [line.split()[2:] for line in head.splitlines() if line.startswith("comment offset ")]

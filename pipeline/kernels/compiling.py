@@ -25,13 +25,21 @@ _made: dict[tuple[str, str], tuple[int, dict[str, Any]]] = {}
 
 
 def kernel(function: Callable[..., Any] | None = None, *, allocates: bool = True, **options: Any) -> Any:
-    """Compile `function` with numba at its first call, or load what was compiled from the same sources before.
+    """Compile a function with numba at its first call, or load what was compiled from the same sources before.
 
-    options: numba.njit's, `cache` aside. Nothing is set unless it is said.
-    allocates: False promises that the kernel makes no arrays, and compiles it without reference counts: an atomic count for
-    every view of an array, shared by the threads, took two fifths of the rasteriser's backward pass.
-    Raises TypeError on a second kernel of the same qualified name in one file, and on other options for the same function:
-    their code would be kept under one name.
+    Args:
+        function: what to compile; None: return a decorator.
+        allocates: False promises that the kernel makes no arrays, and compiles it without reference counts: an atomic count for
+            every view of an array, shared by the threads, took two fifths of the rasteriser's backward pass.
+        options: numba.njit's, `cache` aside. Nothing is set unless it is said.
+
+    Returns:
+        The compiled function, as numba.njit has it, or the decorator.
+
+    Raises:
+        TypeError: a second kernel of the same qualified name in one file, or other options for the same function: their code
+            would be kept under one name.
+        RuntimeError: numba keeps the code elsewhere than it was asked to.
     """
     if function is None:
         return lambda function: kernel(function, allocates=allocates, **options)

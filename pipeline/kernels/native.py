@@ -27,9 +27,16 @@ _loading = threading.Lock()
 
 
 def kernel(name: str, source: Path, arguments: tuple[str, ...], build: Callable[[], tuple[str, bytes]]) -> Kernel:
-    """The kernel `name` of `arguments` ("int64" or "pointer"), from its object file if there is one, else from `build`.
+    """Load a kernel from its object file, or make that first.
 
-    source: the file that defines it. build: compiles it and returns its symbol and object file (`machine_code`).
+    Args:
+        name: the kernel's.
+        source: the file that defines it.
+        arguments: their kinds, "int64" or "pointer".
+        build: compiles it; returns its symbol and object file (`machine_code`).
+
+    Returns:
+        A function of those arguments that returns nothing and releases the interpreter's lock.
     """
     with _loading:  # cameras' readers ask at once
         if name not in _loaded:
@@ -44,13 +51,32 @@ def kernel(name: str, source: Path, arguments: tuple[str, ...], build: Callable[
 
 
 def compiled(name: str, source: Path) -> bool:
-    """Whether a kernel was compiled before."""
+    """Say whether a kernel was compiled before, so that it runs without numba.
+
+    Args:
+        name: the kernel's.
+        source: the file that defines it.
+
+    Returns:
+        True where it is loaded, or its object file is up to date with its sources.
+    """
     place = _place(name, source)
     return name in _loaded or (place is not None and place.is_file())
 
 
 def machine_code(function: Callable[..., None], arguments: tuple[Any, ...]) -> tuple[str, bytes]:
-    """`function` compiled for numba types `arguments`: its symbol, and its object file."""
+    """Compile a function to an object file that stands alone.
+
+    Args:
+        function: takes numbers and pointers, allocates nothing, raises nothing, returns nothing.
+        arguments: their numba types.
+
+    Returns:
+        Its symbol, and the object file.
+
+    Raises:
+        TypeError: it needs numba's runtime.
+    """
     import llvmlite.binding as llvm
     from numba.core import compiler, registry, types
 

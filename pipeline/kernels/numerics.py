@@ -30,8 +30,15 @@ _BIAS, _SHIFT = np.int32(127), np.int32(23)
 
 
 def exp(x):
-    """exp(x) for x <= 0: in float32 vectorised, within 1.5e-7 + 6e-8 |x| relative (the product with log2 e rounds: 4e-6 where
-    the value is 1e-28, at the end of what float32 holds); in float64 the library's."""
+    """Compute exp(x) for x <= 0; device function.
+
+    Args:
+        x: float32 or float64.
+
+    Returns:
+        In float32 vectorised, within 1.5e-7 + 6e-8 |x| relative (the product with log2 e rounds: 4e-6 where the value is
+        1e-28, at the end of what float32 holds); in float64 the library's.
+    """
     return math.exp(x)
 
 
@@ -53,14 +60,24 @@ def _exp(x):
 
 @kernel(error_model="numpy")
 def copy1(source, target):
-    """target[:] = source, without the error message that numba would compile for it (seconds of compile time)."""
+    """Copy a vector without the error message that numba would compile for `target[:] = source` (seconds of compile time).
+
+    Args:
+        source: as long as `target` at least. [N]
+        target: filled. [N]
+    """
     for k in range(target.size):
         target[k] = source[k]
 
 
 @kernel(error_model="numpy")
 def copy2(source, target):
-    """The same for matrices."""
+    """Copy a matrix; see `copy1`.
+
+    Args:
+        source: as large as `target` at least. [N, M]
+        target: filled. [N, M]
+    """
     for j in range(target.shape[0]):
         for k in range(target.shape[1]):
             target[j, k] = source[j, k]
@@ -76,10 +93,17 @@ def _count_from(values, level):
 
 @kernel(error_model="numpy")
 def kth_largest(values, k):
-    """The k-th largest (from 0) of `values`, to 2.5e-4 of itself; 0 where it is not above 0.
+    """Find an order statistic, to 2.5e-4 of itself; device function.
 
     Bisection of the bits of a positive float32, whose order is the floats': passes that count vectorise, a quickselect's
     branches are guessed wrong every other time.
+
+    Args:
+        values: float32. [N]
+        k: 0 is the largest.
+
+    Returns:
+        The k-th largest; 0 where it is not above 0.
     """
     low, high = np.int32(0), np.int32(0x7F7FFFFF)  # 0 and the largest float32
     while high - low > np.int32(1 << 11):
@@ -93,7 +117,15 @@ def kth_largest(values, k):
 
 @kernel(error_model="numpy")
 def solve3(a, b, c, d, e, f, x, y, z):
-    """Solve [[a b c] [b d e] [c e f]] s = (x, y, z) in float64. Returns s and whether the matrix is well away from singular."""
+    """Solve [[a b c] [b d e] [c e f]] s = (x, y, z) in float64 by the adjugate; device function.
+
+    Args:
+        a, b, c, d, e, f: upper triangle of the symmetric, positive matrix, row by row.
+        x, y, z: right-hand side.
+
+    Returns:
+        The three unknowns, and whether the matrix is well away from singular (else they are 0).
+    """
     c00, c01, c02 = d * f - e * e, c * e - b * f, b * e - c * d
     det = a * c00 + b * c01 + c * c02
     size = (a + d + f) / 3.0
@@ -106,7 +138,17 @@ def solve3(a, b, c, d, e, f, x, y, z):
 
 @kernel(error_model="numpy")
 def cholesky_solve(matrix, rhs, n, out):
-    """Solve the n x n positive definite system in place (lower factor left in `matrix`). False where it is not definite."""
+    """Solve a positive definite system by Cholesky's factorisation; device function.
+
+    Args:
+        matrix: lower triangle; overwritten by its factor. [n, n]
+        rhs: right-hand side. [n]
+        n: unknowns.
+        out: filled with the solution. [n]
+
+    Returns:
+        False where the matrix is not positive definite; `out` then holds nothing of use.
+    """
     for j in range(n):
         s = matrix[j, j]
         for k in range(j):

@@ -118,7 +118,16 @@ def _place(context: Any, builder: Any, kind: Any, buffer: Any, offset: Any) -> A
 
 @intrinsic
 def load(typingctx: Any, buffer: Any, offset: Any) -> Any:
-    """buffer[offset : offset + LANES] as a Row. buffer float32[:], contiguous; no bounds check"""
+    """Read buffer[offset : offset + LANES]; no bounds check.
+
+    Args:
+        typingctx: numba's; not given by the caller.
+        buffer: float32, contiguous. [...]
+        offset: of the first element.
+
+    Returns:
+        Row.
+    """
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         return builder.load(_place(context, builder, sig.args[0], *args), align=4)
@@ -128,7 +137,16 @@ def load(typingctx: Any, buffer: Any, offset: Any) -> Any:
 
 @intrinsic
 def value(typingctx: Any, buffer: Any, offset: Any) -> Any:
-    """buffer[offset] of a contiguous float32 array of any shape, without numba's test for a negative index."""
+    """Read buffer[offset] without numba's test for a negative index; no bounds check.
+
+    Args:
+        typingctx: numba's; not given by the caller.
+        buffer: float32, contiguous, any shape. [...]
+        offset: in elements.
+
+    Returns:
+        float32.
+    """
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         data = context.make_array(sig.args[0])(context, builder, args[0]).data
@@ -139,7 +157,16 @@ def value(typingctx: Any, buffer: Any, offset: Any) -> Any:
 
 @intrinsic
 def prefetch(typingctx: Any, buffer: Any, offset: Any) -> Any:
-    """Ask for the cache line of buffer[offset] of a contiguous array; a hint, so any offset will do."""
+    """Ask for the cache line of buffer[offset]; a hint, so any offset will do.
+
+    Args:
+        typingctx: numba's; not given by the caller.
+        buffer: contiguous. [...]
+        offset: of the element.
+
+    Returns:
+        None.
+    """
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         data = context.make_array(sig.args[0])(context, builder, args[0]).data
@@ -155,7 +182,17 @@ def prefetch(typingctx: Any, buffer: Any, offset: Any) -> Any:
 
 @intrinsic
 def store(typingctx: Any, buffer: Any, offset: Any, value: Any) -> Any:
-    """buffer[offset : offset + LANES] = value"""
+    """Write buffer[offset : offset + LANES]; no bounds check.
+
+    Args:
+        typingctx: numba's; not given by the caller.
+        buffer: float32, contiguous. [...]
+        offset: of the first element.
+        value: Row.
+
+    Returns:
+        None.
+    """
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         builder.store(args[2], _place(context, builder, sig.args[0], *args[:2]), align=4)
@@ -166,13 +203,30 @@ def store(typingctx: Any, buffer: Any, offset: Any, value: Any) -> Any:
 
 @intrinsic
 def spread(typingctx: Any, value: Any) -> Any:
-    """A Row with the number in every lane."""
+    """Put a number into every lane.
+
+    Args:
+        typingctx: numba's; not given by the caller.
+        value: number.
+
+    Returns:
+        Row.
+    """
     return row(value), lambda context, builder, sig, args: _spread(context, builder, args[0], sig.args[0])
 
 
 @intrinsic
 def select(typingctx: Any, condition: Any, yes: Any, no: Any) -> Any:
-    """Per lane: yes where the condition holds, else no."""
+    """Per lane: `yes` where the condition holds, else `no`.
+
+    Args:
+        typingctx: numba's; not given by the caller.
+        condition: Mask.
+        yes, no: Row or number.
+
+    Returns:
+        Row.
+    """
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         a, b = (_spread(context, builder, value, kind) for value, kind in zip(args[1:], sig.args[1:]))
@@ -200,13 +254,31 @@ maximum = _extremum(">", "Per lane the larger; the second where the first is NaN
 
 @intrinsic
 def absolute(typingctx: Any, x: Any) -> Any:
-    """Per lane |x|."""
+    """Per lane |x|.
+
+    Args:
+        typingctx: numba's; not given by the caller.
+        x: Row.
+
+    Returns:
+        Row.
+    """
     return row(row), lambda context, builder, sig, args: _call(builder, f"llvm.fabs.v{LANES}f32", _ROW, [args[0]])
 
 
 @intrinsic
 def store_totals(typingctx: Any, buffer: Any, offset: Any, a: Any, b: Any, c: Any, d: Any) -> Any:
-    """buffer[offset : offset + 4] = total of each Row; a third of the instructions of four `total`s."""
+    """Write the totals of four Rows to buffer[offset : offset + 4]; a third of the instructions of four `total`s.
+
+    Args:
+        typingctx: numba's; not given by the caller.
+        buffer: float32, contiguous. [...]
+        offset: of the first element.
+        a, b, c, d: Rows.
+
+    Returns:
+        None.
+    """
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         def pick(x: Any, y: Any, lanes: list[int]) -> Any:
@@ -234,7 +306,15 @@ def store_totals(typingctx: Any, buffer: Any, offset: Any, a: Any, b: Any, c: An
 
 @intrinsic
 def largest(typingctx: Any, x: Any) -> Any:
-    """Largest lane; none may be NaN."""
+    """Find the largest lane; none may be NaN.
+
+    Args:
+        typingctx: numba's; not given by the caller.
+        x: Row.
+
+    Returns:
+        float32.
+    """
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         return _call(builder, f"llvm.vector.reduce.fmax.v{LANES}f32", _FLOAT, [args[0]], ("nnan", "nsz"))
@@ -244,7 +324,15 @@ def largest(typingctx: Any, x: Any) -> Any:
 
 @intrinsic
 def any_lane(typingctx: Any, condition: Any) -> Any:
-    """Whether the condition holds in any lane."""
+    """Say whether a condition holds in any lane.
+
+    Args:
+        typingctx: numba's; not given by the caller.
+        condition: Mask.
+
+    Returns:
+        bool.
+    """
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         return _call(builder, f"llvm.vector.reduce.or.v{LANES}i1", ir.IntType(1), [args[0]])
@@ -274,7 +362,16 @@ lane_y = _constant([float(i // BLOCK) for i in range(LANES)], "Line of each lane
 
 @intrinsic
 def take_ticket(typingctx: Any, counters: Any, which: Any) -> Any:
-    """Atomically return counters[which] and add one to it. counters int64[:]; numba has no atomics on the CPU"""
+    """Atomically read counters[which] and add one to it; numba has no atomics on the CPU.
+
+    Args:
+        typingctx: numba's; not given by the caller.
+        counters: int64. [n]
+        which: of the counters.
+
+    Returns:
+        int64, before the one was added.
+    """
 
     def codegen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         data = context.make_array(sig.args[0])(context, builder, args[0]).data

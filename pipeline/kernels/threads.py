@@ -26,9 +26,13 @@ def thread_count() -> int:
 
 
 def run_on_all_cores(kernel: Callable[..., None], *arguments: Any) -> None:
-    """Call kernel(counters, *arguments) once per core.
+    """Call a kernel once per core and wait for all calls.
 
     The calls share the work by drawing tickets from counters[0], and tell each other apart by one from counters[1].
+
+    Args:
+        kernel: nogil; its first argument is the counters, int64, zero at the start. [2]
+        arguments: the others.
     """
     counters = np.zeros(2, np.int64)
     helpers = thread_count() - 1
@@ -40,7 +44,14 @@ def run_on_all_cores(kernel: Callable[..., None], *arguments: Any) -> None:
 
 
 def row_buffers(size: int) -> np.ndarray:
-    """Uninitialised float32 workspace of `size` or more for each core, on cache lines. [cores, size']"""
+    """Make uninitialised workspace for each core, each beginning on a cache line.
+
+    Args:
+        size: least number of floats.
+
+    Returns:
+        float32. [cores, size or somewhat more]
+    """
     line = 64 // 4
     size = -(-size // line) * line
     whole = np.empty(thread_count() * size + line, np.float32)

@@ -49,14 +49,28 @@ def _refracted(xp: Any, c: Array, eta: Array) -> Array:
 
 
 def normal_reflectance(eta: Array) -> Array:
-    """F0 = ((eta-1)/(eta+1))^2 (PhyGaP Eq. 18)."""
+    """Compute F0 = ((eta-1)/(eta+1))^2 (PhyGaP Eq. 18).
+
+    Args:
+        eta: index of refraction.
+
+    Returns:
+        Reflectance at normal incidence, elementwise.
+    """
     f = (eta - 1) / (eta + 1)
     return f * f
 
 
 def schlick(c: Array, eta: Array) -> Array:
-    """Schlick's approximation of the unpolarised reflectance; c is clipped to [0, 1], outside which it
-    exceeds 1."""
+    """Compute Schlick's approximation of the unpolarised reflectance (Schlick 1994, as PhyGaP has it).
+
+    Args:
+        c: cosine of incidence, clipped to [0, 1], outside which the formula exceeds 1.
+        eta: index of refraction.
+
+    Returns:
+        0..1, elementwise.
+    """
     xp = array_namespace(c, eta)
     m = 1 - xp.clip(c, 0.0, 1.0)
     m2 = m * m
@@ -78,13 +92,29 @@ def amplitudes(c: Array, eta: Array) -> tuple[Array, Array]:
 
 
 def reflectances(c: Array, eta: Array) -> tuple[Array, Array]:
-    """Exact power reflectances (R_s, R_p), across and in the plane of incidence; R_p is 0 at Brewster's angle."""
+    """Compute the exact power reflectances (Fresnel).
+
+    Args:
+        c: cosine of incidence, floored at MIN_COSINE.
+        eta: index of refraction, >= 1.
+
+    Returns:
+        R_s and R_p, across and in the plane of incidence, elementwise; R_p is 0 at Brewster's angle.
+    """
     s, p = amplitudes(c, eta)
     return s * s, p * p
 
 
 def reflectance(c: Array, eta: Array) -> Array:
-    """Exact unpolarised power reflectance F = (R_s + R_p)/2."""
+    """Compute the exact unpolarised power reflectance F = (R_s + R_p)/2 (Fresnel).
+
+    Args:
+        c: cosine of incidence, floored at MIN_COSINE.
+        eta: index of refraction, >= 1.
+
+    Returns:
+        0..1, elementwise.
+    """
     s, p = reflectances(c, eta)
     return (s + p) / 2
 
@@ -99,17 +129,33 @@ def transmittances(c: Array, eta: Array) -> tuple[Array, Array]:
 
 
 def transmittance(c: Array, eta: Array) -> Array:
-    """Exact unpolarised power transmittance T = 1 - F."""
+    """Compute the exact unpolarised power transmittance T = 1 - F (Fresnel; PhyGaP Eq. 26).
+
+    Args:
+        c: cosine of incidence, floored at MIN_COSINE.
+        eta: index of refraction, >= 1.
+
+    Returns:
+        0..1, elementwise.
+    """
     s, p = transmittances(c, eta)
     return (s + p) / 2
 
 
 def specular_polarisation(c: Array, sin2: Array, eta: Array) -> Array:
-    """beta_s / sin^2(theta) >= 0, beta_s = (R_s - R_p)/(R_s + R_p) (PhyGaP Eqs. 22-23 in docs/physics.md's
-    stable form).
+    """Compute beta_s / sin^2(theta), beta_s = (R_s - R_p)/(R_s + R_p) of mirrored light.
 
     beta_s is 1 at Brewster's angle tan(theta) = eta. With the normal's projection (nx, ny) on the pixel's
     frame: (s1, s2) = -beta_s/sin^2 (nx^2 - ny^2, 2 nx ny) L_s.
+    Source: PhyGaP Eqs. 22-23, in docs/physics.md's stable form.
+
+    Args:
+        c: cosine of view and normal, floored at MIN_COSINE.
+        sin2: squared sine of the same angle.
+        eta: index of refraction, >= 1.
+
+    Returns:
+        >= 0, elementwise.
     """
     xp, c = _floor(c, eta)
     q = _refracted(xp, c, eta)
@@ -118,10 +164,16 @@ def specular_polarisation(c: Array, sin2: Array, eta: Array) -> Array:
 
 
 def diffuse_polarisation(c: Array, eta: Array) -> Array:
-    """beta_d / sin^2(theta) >= 0, beta_d = (T_p - T_s)/(T_p + T_s) of light leaving the body (PhyGaP Eqs.
-    24-25).
+    """Compute beta_d / sin^2(theta), beta_d = (T_p - T_s)/(T_p + T_s) of light leaving the body.
 
-    (s1, s2) = +beta_d/sin^2 (nx^2 - ny^2, 2 nx ny) L_d.
+    (s1, s2) = +beta_d/sin^2 (nx^2 - ny^2, 2 nx ny) L_d. Source: PhyGaP Eqs. 24-25, in docs/physics.md's stable form.
+
+    Args:
+        c: cosine of view and normal, floored at MIN_COSINE.
+        eta: index of refraction, >= 1.
+
+    Returns:
+        >= 0, elementwise.
     """
     xp, c = _floor(c, eta)
     q = _refracted(xp, c, eta)
@@ -131,11 +183,16 @@ def diffuse_polarisation(c: Array, eta: Array) -> Array:
 
 
 def hemispherical_transmittance(eta: Array) -> Array:
-    """A0/pi = 2 * integral of T(c) c dc over [0, 1]: the fraction of a constant sky's light that enters the
-    body.
+    """Compute A0/pi = 2 * integral of T(c) c dc over [0, 1]: the share of a constant sky's light that enters the body.
 
-    Closed form in Walsh's logarithms, as 1 - (eta - 1) Q(sqrt(eta - 1)) with a polynomial Q: within 6e-7 on eta in [1, 2.6],
-    where eta is clipped, and its slope within 5e-5 from eta = 1.25 on (2e-3 at 1).
+    Walsh's closed form has logarithms; here 1 - (eta - 1) Q(sqrt(eta - 1)) with a polynomial Q: within 6e-7 on eta in [1, 2.6],
+    and its slope within 5e-5 from eta = 1.25 on (2e-3 at 1).
+
+    Args:
+        eta: index of refraction, clipped to [1, 2.6].
+
+    Returns:
+        0..1, elementwise.
     """
     xp = array_namespace(eta)
     excess = xp.clip(eta, *HEMISPHERICAL_RANGE) - 1

@@ -73,10 +73,28 @@ LAMBDAS = {"ggx": ggx_lambda, "beckmann": beckmann_lambda}
 
 
 def masking(c: Array, alpha: Array, lobe: str = "ggx") -> Array:
-    """Smith G1 for one direction."""
+    """Compute Smith's G1 = 1 / (1 + Lambda) for one direction (Walter et al. 2007).
+
+    Args:
+        c: cosine of the direction and the normal, > 0.
+        alpha: width of the lobe.
+        lobe: of `LAMBDAS`.
+
+    Returns:
+        0..1, elementwise.
+    """
     return 1 / (1 + LAMBDAS[lobe](c, alpha))
 
 
 def separable_shadowing(nv: Array, nl: Array, alpha: Array, lobe: str = "ggx") -> Array:
-    """G = G1(v) G1(l), as in Mitsuba's microfacet plugins: elementwise, in [0, 1]; nv, nl > 0; lobe of `LAMBDAS`."""
+    """Compute Smith's separable shadowing G = G1(v) G1(l), as in Mitsuba's microfacet plugins.
+
+    Args:
+        nv, nl: cosines of view and light with the normal, > 0.
+        alpha: width of the lobe.
+        lobe: of `LAMBDAS`.
+
+    Returns:
+        0..1, elementwise.
+    """
     return masking(nv, alpha, lobe) * masking(nl, alpha, lobe)

@@ -10,8 +10,14 @@ Float = NDArray[np.float64]
 
 
 def sphere_rule(n: int) -> tuple[Float, Float]:
-    """Directions [2n^2, 3] and weights [2n^2] (sr, sum 4 pi): Gauss-Legendre in y, uniform in azimuth;
-    degree 2n-1 exact."""
+    """Make a quadrature rule on the sphere, exact to degree 2n-1: Gauss-Legendre in y, uniform in azimuth.
+
+    Args:
+        n: cosines; 2n azimuths.
+
+    Returns:
+        Unit directions [2n^2, 3], and weights in sr with sum 4 pi [2n^2].
+    """
     y, w = np.polynomial.legendre.leggauss(n)
     phi = (np.arange(2 * n) + 0.5) * np.pi / n
     s = np.sqrt(1 - y * y)
@@ -20,7 +26,15 @@ def sphere_rule(n: int) -> tuple[Float, Float]:
 
 
 def hemisphere_rule(n: int, m: int) -> tuple[Float, Float]:
-    """Directions [n*m, 3] about +z and weights (sr, sum 2 pi): Gauss-Legendre in the cosine, m azimuths."""
+    """Make a quadrature rule on the hemisphere about +z: Gauss-Legendre in the cosine, uniform in azimuth.
+
+    Args:
+        n: cosines.
+        m: azimuths.
+
+    Returns:
+        Unit directions [n m, 3], and weights in sr with sum 2 pi [n m].
+    """
     x, w = np.polynomial.legendre.leggauss(n)
     z, w = (x + 1) / 2, w / 2
     phi = (np.arange(m) + 0.5) * 2 * np.pi / m
@@ -35,14 +49,28 @@ def _corner_area(x: Float, y: Float) -> Float:
 
 
 def cube_solid_angles(resolution: int) -> Float:
-    """Exact solid angles of one face's texels [R, R] (sr); six faces sum to 4 pi."""
+    """Compute the exact solid angles of a cube face's texels.
+
+    Args:
+        resolution: R, texels on a side.
+
+    Returns:
+        sr; six faces sum to 4 pi. [R, R]
+    """
     edge = np.linspace(-1, 1, resolution + 1)
     a = _corner_area(edge[None, :], edge[:, None])
     return a[1:, 1:] - a[1:, :-1] - a[:-1, 1:] + a[:-1, :-1]
 
 
 def latlong_solid_angles(height: int, width: int) -> Float:
-    """Exact solid angles of the rows' pixels [H] (sr); H x W pixels sum to 4 pi."""
+    """Compute the exact solid angles of a latitude-longitude map's pixels.
+
+    Args:
+        height, width: of the map, pixels.
+
+    Returns:
+        sr of one pixel of each row; all pixels sum to 4 pi. [H]
+    """
     v = np.arange(height + 1) * np.pi / height
     # cos a - cos b = 2 sin((a+b)/2) sin((b-a)/2): no cancellation in the polar rows
     return 2 * np.sin((v[:-1] + v[1:]) / 2) * np.sin(np.pi / height / 2) * 2 * np.pi / width

@@ -15,8 +15,14 @@ Array = Any
 
 
 def degree(stokes: Array) -> Array:
-    """Degree of linear polarisation |(s1, s2)|/s0, [..., 3] -> [...]; 0 where s0 <= 0 or
-    denormal. Noise can take it above 1."""
+    """Compute the degree of linear polarisation |(s1, s2)|/s0.
+
+    Args:
+        stokes: s0, s1, s2 on the last axis. [..., 3]
+
+    Returns:
+        >= 0; noise can take it above 1; 0 where s0 <= 0 or denormal. [...]
+    """
     xp = array_namespace(stokes)
     s0, s1, s2 = stokes[..., 0], stokes[..., 1], stokes[..., 2]
     # Less than the smallest normal number is no light: the slope 1/s0 would overflow.
@@ -29,8 +35,14 @@ def degree(stokes: Array) -> Array:
 
 
 def angle(stokes: Array) -> Array:
-    """Angle of linear polarisation atan2(s2, s1)/2 in (-pi/2, pi/2] (rad), [..., 3] -> [...]; 0 for
-    unpolarised light."""
+    """Compute the angle of linear polarisation atan2(s2, s1)/2.
+
+    Args:
+        stokes: s0, s1, s2 on the last axis. [..., 3]
+
+    Returns:
+        Radians in (-pi/2, pi/2], counter-clockwise from the frame's x; 0 for unpolarised light. [...]
+    """
     xp = array_namespace(stokes)
     return xp.atan2(stokes[..., 2], stokes[..., 1] + 0.0) / 2  # -0 + 0 is 0, where atan2 would say pi
 
@@ -56,11 +68,17 @@ def polariser_row(theta: Array, extinction: float | Array = float("inf")) -> Arr
 
 
 def surface_pattern(normal: Array, frame_x: Array, frame_y: Array) -> tuple[Array, Array]:
-    """(nx^2 - ny^2, 2 nx ny) of the normal projected on the frame: sin^2(theta) (cos 2phi, sin 2phi), [...,
-    3] -> [...].
+    """Compute (nx^2 - ny^2, 2 nx ny) of a normal projected on a pixel's frame: sin^2(theta) (cos 2phi, sin 2phi).
 
-    Times +beta_d/sin^2 it gives (s1, s2)/s0 of light from the body, times -beta_s/sin^2 of mirrored light
-    (PhyGaP Eqs. 7-8).
+    Times +beta_d/sin^2 it gives (s1, s2)/s0 of light from the body, times -beta_s/sin^2 of mirrored light.
+    Source: PhyGaP Eqs. 7-8.
+
+    Args:
+        normal: unit. [..., 3]
+        frame_x, frame_y: the pixel's Stokes axes, in the normal's coordinates, unit. [..., 3]
+
+    Returns:
+        The two terms. [...] each
     """
     xp = array_namespace(normal, frame_x, frame_y)
     x = xp.sum(normal * frame_x, axis=-1)

@@ -28,7 +28,17 @@ def _label(value: float) -> str:
 
 
 def line_chart(x: Sequence[float], series: Mapping[str, Sequence[float]], x_title: str, y_title: str, log: bool = False) -> str:
-    """An SVG of y series over x; gaps where a value is not finite. `log` puts y on a logarithmic axis."""
+    """Draw a line chart as SVG that takes its colours from the page.
+
+    Args:
+        x: shared by all series.
+        series: name to its values at `x`; gaps where they are not finite.
+        x_title, y_title: of the axes.
+        log: put y on a logarithmic axis; values not above 0 are gaps.
+
+    Returns:
+        The SVG element; "" where there are fewer than two places or nothing finite.
+    """
     xs = np.asarray(x, float)
     ys = {k: np.asarray(v, float) for k, v in series.items()}
     if log:

@@ -31,8 +31,13 @@ have 0.2, half-trained ones 0.85; a mirrored or turned Stokes frame 1.1 to 1.2."
 
 @dataclass(frozen=True)
 class Explained:
-    """Figures of one view: `likeness` (correlation of encoded radiance), `off` (its mean relative difference at the best gain),
-    `polarisation` (share of the polarised light that is not explained); None where noise or too few pixels forbid to tell."""
+    """Figures of one view; None where noise or too few pixels forbid to tell.
+
+    Fields:
+        likeness: correlation of the encoded radiance.
+        off: mean difference of the encoded radiance at the best gain, relative to its mean.
+        polarisation: share of the polarised light that is not explained.
+    """
 
     likeness: float | None
     off: float | None
@@ -42,9 +47,16 @@ class Explained:
 def explained(
     model: NDArray, picture: NDArray, polarised: tuple[NDArray, NDArray] | None = None, noise: float = 0.0
 ) -> Explained:
-    """Figures over the object's pixels: radiance model, picture [P, 3]; polarised: s1, s2 of both, [P, 2, 3] each.
+    """Compute how well a model explains one view, over the object's pixels.
 
-    noise: standard deviation of a sample of the picture, in its units; what it explains is not held against the model.
+    Args:
+        model: its radiance. [P, 3]
+        picture: the photograph's radiance. [P, 3]
+        polarised: s1, s2 of the model and of the photograph; None: not measured. [P, 2, 3] each
+        noise: standard deviation of a sample of the picture, in its units; what it explains is not held against the model.
+
+    Returns:
+        The figures.
     """
     if len(picture) < FEWEST or not float(np.mean(picture)) > 0:
         return Explained(None, None, None)
@@ -72,7 +84,14 @@ def _unexplained(model: NDArray, picture: NDArray, noise: float) -> float | None
 
 
 def doubts(views: Mapping[str, Explained]) -> list[str]:
-    """What the model does not explain, in lines with the figure and the worst view; empty where it does."""
+    """Say what a model does not explain.
+
+    Args:
+        views: figures of views that it has not seen.
+
+    Returns:
+        Lines with the figure, the worst view and what to check; none where it explains them.
+    """
     lines = []
     likeness, worst, value = _mean(views, "likeness", min)
     off, furthest, most = _mean(views, "off", max)

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from pipeline.capture import Capture
 from pipeline.capture.view_rules import held_back
-from pipeline.engine.changes import WORDS, State, outlook, standing
+from pipeline.engine.changes import WORDS, State, standing
+from pipeline.engine.outlook import outlook, saving
 from pipeline.engine.plan import Step, plan_as_json
 from pipeline.errors import UserError
 from pipeline.formats.given_mask import read_given
@@ -33,9 +34,20 @@ LONGEST = 288  # px
 def write_inspection(
     capture: Capture, steps: Sequence[Step], folder: Path, found: Mapping[str, State], disk: Sequence[tuple[str, float]]
 ) -> Path:
-    """Write inspect.html to `folder` (made when missing) and return its path.
+    """Write the page that shows what was understood of a capture.
 
-    `found` tells how each step stands, `disk` how much each will leave (name, MB). Raises UserError when it cannot write.
+    Args:
+        capture: as recognised.
+        steps: its plan.
+        folder: where to write inspect.html; made when missing.
+        found: how each step stands, by stage.
+        disk: how much each stage will leave: name, MB.
+
+    Returns:
+        The page.
+
+    Raises:
+        UserError: it cannot be written.
     """
     shown, faults = _views(capture)
     plan = plan_as_json(list(steps))
@@ -61,8 +73,9 @@ def write_inspection(
     return path
 
 
-def _standing(state: State) -> dict[str, str]:
-    return {"state": standing(state), "word": "left out" if state.kind == "skip" else WORDS[state.kind]}
+def _standing(state: State) -> dict[str, Any]:
+    word = "left out" if state.kind == "skip" else WORDS[state.kind]
+    return {"state": standing(state), "word": word, "saved": {name: saving(left) for name, left in state.saved.items()}}
 
 
 PASSES = {"polarisers": "cross and parallel frames, or one of the two", "none": "none"}

@@ -10,9 +10,15 @@ FOLDER = Path(__file__).parent
 
 
 def render(template: str, context: Mapping[str, Any], folder: Path = FOLDER) -> str:
-    """Fill a template of `folder` with `context`; everything is escaped unless the template says otherwise.
+    """Fill a template; everything is escaped unless the template says otherwise.
 
-    The macros and the style of this folder are at hand in every template (`style`).
+    Args:
+        template: file name in `folder`, or in this one, whose macros and `style` are at hand in every template.
+        context: what the template names; a name that is missing raises.
+        folder: where to look first.
+
+    Returns:
+        The page.
     """
     import jinja2
 

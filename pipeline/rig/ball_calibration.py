@@ -25,8 +25,14 @@ NOISE = 1.4826  # standard deviation over median absolute deviation
 
 @dataclass(frozen=True)
 class BallLights:
-    """N lights: directions [N, 3] (unit, camera frame: x right, y up, z to the camera), colours [N, 3] (relative irradiance),
-    residual_deg [N]: standard deviation of a direction by the frame's own misfit; seen [N]: whether the frame shows it."""
+    """The lights of N frames, as a ball in view shows them.
+
+    Fields:
+        directions: to the light, unit, camera frame (x right, y up, z to the camera). [N, 3]
+        colours: irradiance relative to the mean of the lights that are seen. [N, 3]
+        residual_deg: standard deviation of a direction by the frame's own misfit. [N]
+        seen: whether the frame shows the light. [N]
+    """
 
     directions: Float
     colours: Float
@@ -129,7 +135,18 @@ def matte_light(frame: Float, normal: Float, on: NDArray[np.bool_]) -> tuple[Flo
 
 def calibrated(frames: list[Float], mask: NDArray, kind: str, focal: float | None = None,
                principal: tuple[float, float] | None = None) -> BallLights:  # fmt: skip
-    """The light of each frame [H, W, 3] (linear) from the ball under `mask` [H, W]; kind: "mirror" or "matte"."""
+    """Find the light of each frame from the ball in it.
+
+    Args:
+        frames: linear radiance. [H, W, 3] each
+        mask: the ball, above 0.5. [H, W]
+        kind: "mirror" or "matte".
+        focal: focal length, pixels; None: the ball is seen from far away.
+        principal: principal point x, y, pixels; it counts only together with `focal`.
+
+    Returns:
+        One light a frame.
+    """
     normal, view, on = ball_normals(mask.shape, outline_circle(mask), focal, principal)
     on &= np.asarray(mask) > 0.5
     found = [mirror_light(f, normal, view, on) if kind == "mirror" else matte_light(f, normal, on) for f in frames]

@@ -11,5 +11,14 @@ IN_DECODE = "decode"
 
 
 def frames_root(index: Mapping[str, Any], capture_root: Path, decode_folder: Path) -> Path:
-    """The folder that the paths under "cross" and "parallel" in olat.json are relative to."""
+    """Find the folder that the paths under "cross" and "parallel" in olat.json are relative to.
+
+    Args:
+        index: olat.json's content.
+        capture_root: the capture's folder.
+        decode_folder: where olat.json lies.
+
+    Returns:
+        `decode_folder` where decode made the frames linear, else `capture_root`.
+    """
     return decode_folder if index.get("frames_in") == IN_DECODE else capture_root

@@ -10,10 +10,17 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True)
 class LightTable:
-    """Directions from the stage's centre to each light (world, unit) [N, 3], positions [N, 3] in world units,
-    relative intensity [N], solid angle [N] in sr (None: to be computed from the directions). index [N]: the table's own
-    number of each light, which its frame bears (None: 0..N-1); names: the file of each light's frame, where it tells;
-    colour [N, 3]: of each light, relative to its own mean (None: white)."""
+    """The lights of a light stage, in the world of its cameras.
+
+    Fields:
+        directions: unit, from the stage's centre to each light. [N, 3]
+        positions: world units. [N, 3]
+        intensity: relative. [N]
+        solid_angle: sr; None: to be computed from the directions. [N]
+        index: the table's own number of each light, which its frame bears; None: 0..N-1. [N]
+        names: the file of each light's frame, where the table names it.
+        colour: of each light, relative to its own mean; None: white. [N, 3]
+    """
 
     directions: NDArray[np.float64]
     positions: NDArray[np.float64]

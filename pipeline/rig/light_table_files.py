@@ -21,9 +21,16 @@ WORLD_FROM_TABLE = np.array([-1.0, 1.0, -1.0])  # the published table is turned 
 
 
 def read_lsx3(root: Path) -> LightTable:
-    """The LSX3 rig: the k-th entry of the spiral names the row (from 1) of light k; positions turned 180 degrees about y.
+    """Read the LSX3 rig: the spiral's k-th entry names the row (from 1) of light k; positions are turned 180 degrees about y.
 
-    Raises UserError when a table is missing, malformed, or its length does not fit the other's.
+    Args:
+        root: the folder of the two tables.
+
+    Returns:
+        The lights, in the order of the frames.
+
+    Raises:
+        UserError: a table is missing or malformed, or its length does not fit the other's.
     """
     positions = _numbers(root / LSX3_POSITIONS, 3)
     spiral = _numbers(root / LSX3_SPIRAL, 1)[:, 0]
@@ -43,13 +50,18 @@ def read_lsx3(root: Path) -> LightTable:
 
 
 def read_lights_csv(path: Path) -> LightTable:
-    """A rig from `index, x, y, z[, intensity][, red, green, blue][, solid_angle]`, ordered by index.
-
-    Positions in world units, or directions.
+    """Read a rig from a lights.csv: `index, x, y, z[, intensity][, red, green, blue][, solid_angle]`.
 
     A light that did not fire is left out: its index then is missing, and its frame is not used.
 
-    Raises UserError naming the line that is wrong.
+    Args:
+        path: the file; positions in world units, or directions.
+
+    Returns:
+        The lights, ordered by index.
+
+    Raises:
+        UserError: the file is missing, a column, cell or value is wrong, or an index stands twice; names the line.
     """
     if not path.is_file():
         raise UserError(path, "no such light table", "add it, or name the right file as `lights` under [olat] in capture.toml")

@@ -259,10 +259,16 @@ def _common(lobe, frame, shape, o, kind):
 
 @kernel(error_model="numpy")
 def values(lobe, frame, shape, o, h, i, out):
-    """Fill `out` [N] with g.
+    """Evaluate a lobe over the lights of a pixel; device function.
 
-    frame float64 [3, 3]: rows t, b, n; shape float64 [3]: A, B, C; o [3]: to the camera; h, i: half vectors and directions to
-    the lights, world, each as three arrays [N] (contiguous: that is what lets the loops vectorise).
+    Args:
+        lobe: WARD, BECKMANN or GGX.
+        frame: rows t, b, n of the surface, world, float64. [3, 3]
+        shape: A, B, C, the log-Cholesky factors of the inverse squared widths, float64. [3]
+        o: unit, to the camera. [3]
+        h, i: half vectors and directions to the lights, world, each as three contiguous arrays (which lets the loops
+            vectorise). [N] each
+        out: filled with g. [N]
     """
     f, a, b, c, blend, factor, _ = _common(lobe, frame, shape, o, h[0].dtype.type)
     if lobe == GGX:
@@ -273,9 +279,19 @@ def values(lobe, frame, shape, o, h, i, out):
 
 @kernel(error_model="numpy")
 def normal_equations(lobe, frame, shape, rho, o, h, i, light, floor, weight, matrix, gradient):
-    """Gauss-Newton matrix float64 [6, 6] and gradient [6] of half the weighted square residual of `rho g`; returns its cost.
+    """Compute the Gauss-Newton system of half the weighted square residual of `rho g`; device function.
 
-    Samples with `floor` 1 are lower bounds (clipped): they count only where the lobe stays below them. See `values`.
+    Args:
+        lobe, frame, shape, o, h, i: as in `values`. [...]
+        rho: specular albedo.
+        light: measured radiance over irradiance. [N]
+        floor: 1 where a sample is a lower bound (clipped) and counts only while the lobe stays below it, else 0. [N]
+        weight: of the squared residuals. [N]
+        matrix: filled, float64. [6, 6]
+        gradient: filled, float64. [6]
+
+    Returns:
+        The cost.
     """
     kind = h[0].dtype.type
     f, a, b, c, blend, factor, v = _common(lobe, frame, shape, o, kind)
@@ -293,7 +309,12 @@ def normal_equations(lobe, frame, shape, rho, o, h, i, light, floor, weight, mat
 
 @kernel(error_model="numpy")
 def jacobian(lobe, frame, shape, o, h, i, out):
-    """Fill `out` [6, N] with the derivatives of g by d1, d2, A, B, C, and g itself in the last row. See `values`."""
+    """Compute the derivatives of a lobe over the lights of a pixel; device function.
+
+    Args:
+        lobe, frame, shape, o, h, i: as in `values`. [...]
+        out: filled with the derivatives of g by d1, d2, A, B, C, and g itself in the last row. [6, N]
+    """
     f, a, b, c, blend, factor, v = _common(lobe, frame, shape, o, h[0].dtype.type)
     if lobe == GGX:
         _ggx_rows(h[0], h[1], h[2], i[0], i[1], i[2], f, a, b, c, blend, factor, v, out)

@@ -15,7 +15,17 @@ DIRECTIONS, INTENSITIES, NAMES = "light_directions.txt", "light_intensities.txt"
 
 
 def read_lp(path: Path) -> LightTable:
-    """An RTI light-position file: each line names a light's picture. Raises UserError naming the line that is wrong."""
+    """Read an RTI light-position file: a count, then NAME x y z of each light's picture.
+
+    Args:
+        path: the .lp.
+
+    Returns:
+        The lights with the names of their pictures.
+
+    Raises:
+        UserError: a line is malformed or the count wrong; names it.
+    """
     lines = [line.strip() for line in path.read_text(encoding="utf-8-sig", errors="replace").splitlines()]
     lines = [line for line in lines if line]
     if not lines or not lines[0].split()[0].isdigit() or len(lines[0].split()) != 1:
@@ -36,9 +46,16 @@ def read_lp(path: Path) -> LightTable:
 
 
 def read_directions(path: Path) -> LightTable:
-    """light_directions.txt as DiLiGenT has it, with light_intensities.txt and filenames.txt beside it where they are.
+    """Read light_directions.txt as DiLiGenT has it, with light_intensities.txt and filenames.txt beside it where they are.
 
-    Intensities per colour are a light's mean and its colour. Raises UserError naming the line that is wrong.
+    Args:
+        path: light_directions.txt.
+
+    Returns:
+        The lights; intensities per colour become a light's mean and its colour.
+
+    Raises:
+        UserError: a line is malformed, or the files do not fit each other; names it.
     """
     table = table_from_positions(_numbers(path, (3,)), path)
     intensities, names = path.with_name(INTENSITIES), path.with_name(NAMES)

@@ -25,28 +25,6 @@ READERS = 2
 MAP_LIGHTS = 2000  # cells of 4.5 degrees; a lobe narrower than its cell is widened by it
 
 
-def relight_olat(
-    olat_index: Mapping[str, Any] | Path,
-    capture_root: Path,
-    camera: str,
-    env_latlong: NDArray,
-    mask: NDArray[np.bool_] | None = None,
-    *,
-    irradiance: float = np.pi,
-    specular_factor: float = 2.0,
-    up: str = "y",
-    decode_folder: Path | None = None,
-) -> NDArray[np.float32]:
-    """The object under a map, as the sum of its frames weighted by the light in each light's cell: float32 [H, W, 3].
-
-    As `relight_frames`, for one map env_latlong [h, w, 3].
-    """
-    return relight_frames(
-        olat_index, capture_root, camera, [env_latlong], mask, irradiance=irradiance, specular_factor=specular_factor, up=up,
-        decode_folder=decode_folder,
-    )[0]  # fmt: skip
-
-
 def relight_frames(
     olat_index: Mapping[str, Any] | Path,
     capture_root: Path,
@@ -59,12 +37,26 @@ def relight_frames(
     up: str = "y",
     decode_folder: Path | None = None,
 ) -> NDArray[np.float32]:
-    """The object under each of N maps, as sums of its frames, which are read once for all: float32 [N, H, W, 3].
+    """Sum a light-stage camera's frames under maps; the frames are read once for all maps, one after another.
 
-    olat_index: decode's `olat.json` (its path or content); camera: "camNN"; maps [h, w, 3] each, linear; mask [H, W]: black
-    outside; irradiance, specular_factor: `capture.config.olat`; up: `capture.up`; decode_folder: where olat.json lies, needed
-    with its content alone. Frames are read one after another.
-    Raises UserError naming a frame that cannot be read.
+    Source: PRF Sec. 5.
+
+    Args:
+        olat_index: decode's olat.json, its path or content.
+        capture_root: the capture's folder.
+        camera: "camNN".
+        maps: N latitude-longitude maps, linear, y up. [h, w, 3] each
+        mask: black outside; None: everywhere. [H, W]
+        irradiance: of a light in the frames (`capture.config.olat`).
+        specular_factor: f of I_s = f (I_p - I_x) (`capture.config.olat`).
+        up: the capture's up axis.
+        decode_folder: where olat.json lies; needed with its content alone.
+
+    Returns:
+        The object's radiance under each map, >= 0. [N, H, W, 3]
+
+    Raises:
+        UserError: a frame cannot be read.
     """
     index = json.loads(Path(olat_index).read_text()) if isinstance(olat_index, str | Path) else olat_index
     entry = index["cameras"][camera]
@@ -108,10 +100,18 @@ def relight_maps(
     occlusion: bool = True,
     count: int = MAP_LIGHTS,
 ) -> NDArray[np.float32]:
-    """The object under a map, rendered from the fitted maps: float32 [H, W, 3], black outside the object.
+    """Render a light-stage camera's fitted maps under an environment map.
 
-    maps_folder: `olat/current/camNN`; camera: that camera; env_latlong [h, w, 3] linear; occlusion: multiply diffuse and
-    specular light by their occlusion maps (the frames' sum has their shadows). The map's light is gathered into `count` cells.
+    Args:
+        maps_folder: the camera's in the olat stage's.
+        camera: its pose and lens.
+        env_latlong: linear, y up. [h, w, 3]
+        up: the capture's up axis.
+        occlusion: multiply diffuse and specular light by their occlusion maps (the frames' sum has their shadows).
+        count: cells that the map's light is gathered into.
+
+    Returns:
+        Radiance, black outside the object. [H, W, 3]
     """
     directions, light, spacing = as_lights(env_latlong, count, up)
     return render_maps(maps_folder, camera, directions, light, spacing, occlusion)
@@ -158,7 +158,16 @@ def render_maps(
 
 
 def relighting_error(sum_of_frames: NDArray, from_maps: NDArray, mask: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Per-pixel error [H, W] of a rendering with the maps: RMS over RGB, relative to the mean of the sum inside the mask."""
+    """Compare a rendering from maps with the sum of the frames.
+
+    Args:
+        sum_of_frames: radiance. [H, W, 3]
+        from_maps: radiance. [H, W, 3]
+        mask: the object. [H, W]
+
+    Returns:
+        RMS over RGB, relative to the mean of the sum inside the mask (as it is where that is 0); 0 outside. [H, W]
+    """
     level = float(np.mean(sum_of_frames[mask])) if mask.any() else 0.0
     error = np.sqrt(np.mean((np.asarray(from_maps, float) - sum_of_frames) ** 2, -1)) * mask
     return (error / level if level > 0 else error).astype(np.float32)

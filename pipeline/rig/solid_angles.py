@@ -12,10 +12,15 @@ NEIGHBOURS = 16  # lights that are tried first as a cell's neighbours; most cell
 
 
 def solid_angles(directions: NDArray[np.float64], cap: bool = True) -> NDArray[np.float64]:
-    """Solid angle in sr of each light [N] for unit `directions` [N, 3].
+    """Compute each light's solid angle, the area of its spherical Voronoi cell.
 
-    Spherical Voronoi areas; with `cap`, cells that reach beyond `CAP_OVER_MEDIAN` times the typical cell's reach (next to a
-    hole of the rig, or the rim of a dome) count only up to there. Lights in one direction share their cell.
+    Args:
+        directions: unit. Lights in one direction share their cell. [N, 3]
+        cap: count cells that reach beyond `CAP_OVER_MEDIAN` times the typical cell's reach (next to a hole of the rig, or the
+            rim of a dome) only up to there.
+
+    Returns:
+        sr. [N]
     """
     unique, inverse, count = np.unique(np.round(directions, 9), axis=0, return_inverse=True, return_counts=True)
     border = np.concatenate([_borders(unique, k, k + BLOCK) for k in range(0, len(unique), BLOCK)])
@@ -69,7 +74,14 @@ def nearest_light(directions: NDArray[np.float64], lights: NDArray[np.float64]) 
 
 
 def fibonacci_sphere(count: int) -> NDArray[np.float64]:
-    """`count` near-uniform unit directions [count, 3]."""
+    """Spread directions nearly evenly over the sphere.
+
+    Args:
+        count: how many.
+
+    Returns:
+        Unit directions. [count, 3]
+    """
     k = np.arange(count) + 0.5
     y, turn = 1 - 2 * k / count, np.pi * (1 + 5**0.5) * k
     r = np.sqrt(1 - y * y)

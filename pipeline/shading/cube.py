@@ -38,7 +38,14 @@ def extended_size(resolution: int) -> int:
 
 
 def cube_directions(resolution: int) -> NDArray[np.float64]:
-    """Unit directions of the texel centres [6, R, R, 3]."""
+    """Compute the directions of a cube's texel centres.
+
+    Args:
+        resolution: R, texels on a face's side.
+
+    Returns:
+        Unit. [6, R, R, 3]
+    """
     t = (2 * np.arange(resolution) + 1) / resolution - 1
     n, u, v = (AXES[:, k, None, None, :] for k in range(3))
     d = n + t[None, None, :, None] * u + t[None, :, None, None] * v

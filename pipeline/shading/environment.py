@@ -9,12 +9,26 @@ GREY = 0.5
 
 
 def activate(raw: torch.Tensor) -> torch.Tensor:
-    """Radiance > 0 of raw values: sigmoid(x) for x <= 0, x + 0.5 above (PhyGaP Eq. 33); slope 1/4 to 1 over 0."""
+    """Turn raw values into radiance: sigmoid(x) for x <= 0, x + 0.5 above; slope 1/4 to 1 over 0 (PhyGaP Eq. 33).
+
+    Args:
+        raw: any real numbers. [...]
+
+    Returns:
+        Radiance > 0. [...]
+    """
     return torch.where(raw > 0, raw + GREY, torch.sigmoid(raw))
 
 
 def deactivate(radiance: torch.Tensor) -> torch.Tensor:
-    """Inverse of `activate`; radiance below 1e-6 (raw -13.8, where the sigmoid's slope dies) is raised to it."""
+    """Invert `activate`.
+
+    Args:
+        radiance: raised to 1e-6 (raw -13.8, where the sigmoid's slope dies). [...]
+
+    Returns:
+        Raw values. [...]
+    """
     low = radiance.clamp(1e-6, GREY)
     return torch.where(radiance > GREY, radiance - GREY, torch.log(low) - torch.log1p(-low))
 

@@ -34,7 +34,16 @@ FLOOR = 1e-6
 
 
 def nearest_albedo(points: NDArray, albedo: NDArray, at: NDArray) -> NDArray[np.float32]:
-    """Mean albedo [V, 3] of the NEAREST of `points` [N, 3], which have `albedo` [N, 3], around every place `at` [V, 3]."""
+    """Find the albedo around places: the mean over the NEAREST points.
+
+    Args:
+        points: positions. [N, 3]
+        albedo: of the points. [N, 3]
+        at: positions asked for. [V, 3]
+
+    Returns:
+        Mean albedo. [V, 3]
+    """
     from scipy.spatial import cKDTree
 
     _, index = cKDTree(points).query(at, k=range(1, min(NEAREST, len(points)) + 1))
@@ -43,7 +52,12 @@ def nearest_albedo(points: NDArray, albedo: NDArray, at: NDArray) -> NDArray[np.
 
 @dataclass(frozen=True)
 class LocalLight:
-    """Prefiltered light at every anchor: tables [T, 3, A], their rows as those of `field.packed` (`LightField`)."""
+    """Prefiltered light at each of A anchors.
+
+    Fields:
+        tables: rows as those of `field.packed`. [T, 3, A]
+        field: says which rows are what (`LightField`).
+    """
 
     tables: NDArray[np.float32]
     field: LightField

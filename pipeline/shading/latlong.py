@@ -98,7 +98,15 @@ def _crossings(phi: Float, edges: Float, rows: Float) -> tuple[Float, ...]:
 
 
 def to_cube(image: NDArray, resolution: int) -> Float:
-    """Texel means [6, R, R, C] of a lat-long map [H, W, C]: integrated, so that no sun falls between samples."""
+    """Turn a latitude-longitude map into a cube map, by integration, so that no sun falls between samples.
+
+    Args:
+        image: radiance. [H, W, C]
+        resolution: R, texels on a face's side.
+
+    Returns:
+        Mean radiance of each texel. [6, R, R, C]
+    """
     height, width, channels = image.shape
     total = overlap(height, width, resolution) @ np.asarray(image, np.float64).reshape(height * width, channels)
     mean = total.reshape(6, resolution, resolution, channels)
@@ -106,10 +114,17 @@ def to_cube(image: NDArray, resolution: int) -> Float:
 
 
 def from_cube(cube: NDArray, height: int = 256, width: int = 512) -> Float:
-    """Lat-long map [H, W, C] of a cube [6, R, R, C] >= 0: bilinear, then scaled to conserve what each texel holds.
+    """Turn a cube map into a latitude-longitude map: bilinear, then scaled to conserve what each texel holds.
 
     The scaling is local (a factor per texel, spread over its pixels), with one last factor per channel (within a
     few parts in a thousand of 1) for the exact integral.
+
+    Args:
+        cube: radiance >= 0. [6, R, R, C]
+        height, width: of the map, pixels.
+
+    Returns:
+        Radiance. [H, W, C]
     """
     resolution, channels = cube.shape[1], cube.shape[-1]
     w = overlap(height, width, resolution)

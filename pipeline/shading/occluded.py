@@ -13,7 +13,15 @@ RINGS, AZIMUTHS = 4, 16
 
 
 def blocked_share(occluder: Occluder, samples: int = 500) -> float:
-    """Share of cosine-weighted light that a mesh takes from itself, averaged over `samples` of its vertices."""
+    """Estimate the share of cosine-weighted light that a mesh takes from itself.
+
+    Args:
+        occluder: the mesh.
+        samples: how many of its vertices are asked, the same ones every time.
+
+    Returns:
+        0..1.
+    """
     count = len(occluder.vertices)
     chosen = np.random.default_rng(0).choice(count, min(samples, count), replace=False)
     local, weight = hemisphere_rule(RINGS, AZIMUTHS)

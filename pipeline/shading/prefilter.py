@@ -44,7 +44,18 @@ class Level:
 
 @dataclass(frozen=True)
 class LightField:
-    """What a surface point sees of an unoccluded environment; `packed` [T, 3] carries the gradient."""
+    """What a surface point sees of an unoccluded environment.
+
+    Fields:
+        packed: all levels one after another; carries the gradient. [T, 3]
+        roughnesses: perceptual, of the `specular` levels.
+        specular: mirrored light, one level a roughness.
+        cosine: irradiance.
+        transmitted: irradiance that passes into a surface of the reference IoR.
+        lobe: "ggx" or "beckmann".
+        resolution: of the environment's cube.
+        pyramid: the unfiltered cube and its coarser means. [S, 3]
+    """
 
     packed: torch.Tensor
     roughnesses: tuple[float, ...]
@@ -61,7 +72,23 @@ class LightField:
         return light_tree(self.pyramid, self.resolution, COARSEST)
 
     def mirrored(self, directions: torch.Tensor, roughness: torch.Tensor) -> torch.Tensor:
-        """E(r, direction) [P, 3] for directions [P, 3] and perceptual roughness [P]."""
+        """E(r, direction) [P, 3] for directions [P, 3] and perceptual roughness [P].
+
+        Without a gradient, in float32 on the CPU, by one pass of a kernel.
+        """
+        given = (directions, roughness, self.packed)
+        plain = torch.is_grad_enabled() and any(t.requires_grad for t in given)
+        if plain or not all(t.device.type == "cpu" and t.dtype == torch.float32 for t in given):
+            return self.mirrored_plainly(directions, roughness)
+        from .mirrored_kernel import mirrored_rows
+
+        out = torch.empty(directions.shape)
+        arrays = [t.detach().contiguous().numpy() for t in given]
+        mirrored_rows(*arrays, *self.tables()[:5], out.numpy())
+        return out
+
+    def mirrored_plainly(self, directions: torch.Tensor, roughness: torch.Tensor) -> torch.Tensor:
+        """`mirrored` in torch: the definition."""
         nodes = torch.as_tensor(self.roughnesses, dtype=roughness.dtype, device=roughness.device)
         k = torch.searchsorted(nodes, roughness.detach().contiguous(), right=True) - 1
         k = k.clamp(0, len(self.roughnesses) - 2)
@@ -101,12 +128,18 @@ def _fused_tables(roughnesses: tuple[float, ...], levels: tuple[Level, ...], lob
 
 
 class Prefilter:
-    """The linear map from a cube's radiance [6, R, R, 3] to a `LightField`, built once per (R, lobe).
-
-    lobe: "ggx" (PhyGaP) or "beckmann" (Mitsuba's pplastic).
-    """
+    """The linear map from a cube's radiance [6, R, R, 3] to a `LightField`, built once per (R, lobe)."""
 
     def __init__(self, resolution: int = 32, lobe: str = "ggx") -> None:
+        """Build the map.
+
+        Args:
+            resolution: R, texels on a face's side: a power of two from `COARSEST` up.
+            lobe: "ggx" (PhyGaP) or "beckmann" (Mitsuba's pplastic).
+
+        Raises:
+            ValueError: neither a fit resolution nor a known lobe.
+        """
         if resolution < COARSEST or resolution & (resolution - 1):
             raise ValueError(f"environment resolution {resolution}: must be a power of two from {COARSEST} up")
         if lobe not in LOBES:

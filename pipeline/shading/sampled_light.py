@@ -14,9 +14,15 @@ from .shading import body_transmission
 
 
 def received(normal: torch.Tensor, leaves: Leaves, radiance: torch.Tensor) -> torch.Tensor:
-    """Irradiance [P, 3] that passes into the surface at the reference IoR, as the prefilter has it.
+    """Sum the irradiance that passes into a surface of the reference IoR, as the prefilter has it.
 
-    normal [P, 3] unit; leaves: L directions, `node` an index into radiance [N, 3].
+    Args:
+        normal: unit. [P, 3]
+        leaves: L directions with their point and solid angle; `node` is an index into `radiance`.
+        radiance: RGB. [N, 3]
+
+    Returns:
+        RGB. [P, 3]
     """
     cosine = (normal[leaves.point] * leaves.direction).sum(1).clamp_min(0)
     eta = torch.tensor(REFERENCE_IOR, dtype=normal.dtype)
@@ -36,10 +42,23 @@ def shade_samples(
     radiance: torch.Tensor,
     lobe: str,
 ) -> torch.Tensor:
-    """Stokes vectors [P, 3, 3 rgb] of P points: the terms of `shade` with exact Fresnel, the lobe summed over the leaves.
+    """Shade points under light from single directions: as `shade` with exact Fresnel, the lobe summed over the leaves.
 
-    normal .. frame_y: as in `shade`; leaves: the light that arrives, `node` an index into radiance [N, 3] (R G B). A leaf's
-    variance widens the lobe, so that a lamp cut into cells is mirrored as one.
+    A leaf's variance widens the lobe, so that a lamp cut into cells is mirrored as one.
+
+    Args:
+        normal: unit. [P, 3]
+        view: unit, towards the camera. [P, 3]
+        albedo: linear RGB. [P, 3]
+        roughness: perceptual. [P]
+        ior: index of refraction. [P]
+        frame_x, frame_y: the pixels' Stokes axes, world. [P, 3]
+        leaves: the light that arrives; `node` is an index into `radiance`.
+        radiance: RGB. [N, 3]
+        lobe: "ggx" or "beckmann".
+
+    Returns:
+        s0, s1, s2 by R, G, B. [P, 3, 3]
     """
     roughness = roughness.clamp(limits.MIN_ROUGHNESS, limits.MAX_ROUGHNESS)
     eta, alpha = ior.clamp_min(limits.MIN_IOR), roughness * roughness

@@ -134,9 +134,17 @@ def plain(
 
 
 def body_transmission(cosine: torch.Tensor, eta: torch.Tensor, fresnel: str) -> torch.Tensor:
-    """L_d / (albedo x received light) [P]: out of the body, and in relative to the level's IoR (docs/physics.md, Shading).
+    """Compute the light that leaves the body, over albedo x received light (docs/physics.md, Shading).
 
-    cosine [P] of the view with the normal, in (0, 1]; eta [P]; fresnel: "exact" or "schlick".
+    Out of the body, and in relative to the level's IoR. Source: Baek et al. 2018 (polarised plastic); "schlick": PhyGaP Eq. 20.
+
+    Args:
+        cosine: of view and normal, in (0, 1]. [P]
+        eta: index of refraction. [P]
+        fresnel: "exact" or "schlick".
+
+    Returns:
+        1/sr. [P]
     """
     if fresnel == "schlick":
         return (1 - optics.schlick(cosine, eta)) / torch.pi

@@ -90,7 +90,14 @@ def schlick_table(lobe: str = "ggx") -> NDArray[np.float32]:
 
 @lru_cache(maxsize=4)
 def exact_table(lobe: str = "ggx") -> NDArray[np.float32]:
-    """(rho, beta) [eta, roughness, cosine, 2]: albedo over F(n.v), and polarisation over sin^2(n.v)."""
+    """Compute the split-sum table of exact Fresnel reflection.
+
+    Args:
+        lobe: "ggx" or "beckmann".
+
+    Returns:
+        rho (albedo over F(n.v)) and beta (polarisation over sin^2(n.v)), by IoR, roughness, cosine. [eta, roughness, cosine, 2]
+    """
     out = np.empty((IOR_NODES, ROUGHNESS_NODES, COSINE_NODES, 2), np.float32)
     c = _cosines()
     sin2 = (1 - c) * (1 + c)

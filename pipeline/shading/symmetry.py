@@ -78,7 +78,14 @@ def _gather(x, inverse, out):
 def _multiply(starts, columns, values, x, out):
     for row in prange(len(starts) - 1):
         total = np.zeros(WIDTH, np.float32)
-        for k in range(starts[row], starts[row + 1]):
+        first, last = starts[row], starts[row + 1]
+        whole = first + (last - first) // 4 * 4
+        for k in range(first, whole, 4):  # four sources for each pass over the sums
+            a, b, c, d = values[k], values[k + 1], values[k + 2], values[k + 3]
+            p, q, r, s = x[columns[k]], x[columns[k + 1]], x[columns[k + 2]], x[columns[k + 3]]
+            for j in range(WIDTH):
+                total[j] += a * p[j] + b * q[j] + c * r[j] + d * s[j]
+        for k in range(whole, last):
             w, source = values[k], x[columns[k]]
             for j in range(WIDTH):
                 total[j] += w * source[j]

@@ -45,8 +45,10 @@ class Gathering:
 class SurfaceLight:
     """Light at the mesh's vertices under one environment.
 
-    shadow, bounced [V, 3]: as in `shading.Occlusion`; leaving [V, 3]: diffuse radiance that the surface sends back;
-    texels [K, 3]: the environment that was gathered.
+    Fields:
+        shadow, bounced: as in `shading.Occlusion`. [V, 3]
+        leaving: diffuse radiance that the surface sends back. [V, 3]
+        texels: the environment that was gathered. [K, 3]
     """
 
     shadow: torch.Tensor
@@ -67,12 +69,17 @@ class Attachment:
 
 
 class Transfer:
-    """Visibility of a cube of `resolution` from every vertex of an occluder, and the vertices that block it.
-
-    albedo [V, 3] of the mesh, linear; ior: one value, for how much light passes in and out of the surface.
-    """
+    """Which part of a cube of light each vertex of an occluder sees, and the vertices that block the rest."""
 
     def __init__(self, occluder: Occluder, albedo: NDArray, *, ior: float = REFERENCE_IOR, resolution: int = 8) -> None:
+        """Cast the rays of all vertices.
+
+        Args:
+            occluder: the object's mesh of V vertices.
+            albedo: of its vertices, linear RGB. [V, 3]
+            ior: of all of it: how much light passes in and out of the surface.
+            resolution: texels on a side of the cube's faces.
+        """
         self.occluder, self.resolution = occluder, resolution
         self.albedo = torch.as_tensor(np.asarray(albedo), dtype=torch.float32)
         # Received light is weighted by the way in at the reference IoR: scaled to this one, times the mean way out.
@@ -81,7 +88,7 @@ class Transfer:
         self._leaving = (entering * entering * self.albedo + (1 - entering)) / reference
         self._directions = cube_directions(resolution).reshape(-1, 3).astype(np.float32)
         self._areas = np.tile(sphere.cube_solid_angles(resolution).ravel(), 6).astype(np.float32)
-        self._vertices = self.gather(occluder.vertices, occluder.normals)
+        self.vertices = self.gather(occluder.vertices, occluder.normals)
 
     def _weights(self, normals: NDArray[np.float32]) -> NDArray[np.float32]:
         """T(n.w) (n.w) d omega of the texels [N, K]."""
@@ -107,11 +114,27 @@ class Transfer:
         met = csr_matrix((w, (point, vertex)), shape=(len(points), len(mesh.vertices)))
         return Gathering(normals, torch_csr(blocked), torch_csr(met))
 
+    def arriving(self, at: Gathering, texels: torch.Tensor) -> torch.Tensor:
+        """Irradiance [N, 3] of texels [K, 3] without the mesh."""
+        return torch.as_tensor(self._weights(at.normals)) @ texels
+
+    def blocked(self, at: Gathering, texels: torch.Tensor) -> torch.Tensor:
+        """Irradiance [N, 3] of texels [K, 3] that the mesh takes."""
+        return at.blocked @ texels
+
+    def sees(self, at: Gathering, texels: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Whether each of the points sees each of some texels [N, K']: above its horizon, and nothing in between."""
+        hidden = csr_matrix(
+            tuple(x.numpy() for x in (at.blocked.values(), at.blocked.col_indices(), at.blocked.crow_indices())),
+            shape=tuple(at.blocked.shape),
+        )
+        return (at.normals @ self._directions[texels].T > 0) & (hidden[:, texels].toarray() == 0)
+
     def _received(self, at: Gathering, texels: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """(irradiance without the mesh [N, 3], share of it that arrives [N, 3])."""
-        arriving = torch.as_tensor(self._weights(at.normals)) @ texels
+        arriving = self.arriving(at, texels)
         # The floor meets a black environment: nothing arrives, and a shadow of nothing is 1.
-        return arriving, 1 - (at.blocked @ texels) / arriving.clamp_min(torch.finfo(arriving.dtype).tiny)
+        return arriving, 1 - self.blocked(at, texels) / arriving.clamp_min(torch.finfo(arriving.dtype).tiny)
 
     def light(self, radiance: torch.Tensor, bounces: int = MOST_BOUNCES) -> SurfaceLight:
         """Light at the vertices under radiance [6, R, R, 3] (R at least the transfer's resolution); differentiable.
@@ -119,7 +142,7 @@ class Transfer:
         At most `bounces` are followed, and no more once they hardly add anything.
         """
         texels = self._texels(radiance)
-        arriving, shadow = self._received(self._vertices, texels)
+        arriving, shadow = self._received(self.vertices, texels)
         return self._spread(shadow, shadow * arriving, texels, bounces)
 
     def lit(self, direct: torch.Tensor, bounces: int = MOST_BOUNCES) -> SurfaceLight:
@@ -132,7 +155,7 @@ class Transfer:
         scale = self._leaving / torch.pi
         bounced = torch.zeros_like(direct)
         for _ in range(bounces):
-            before, bounced = bounced, self._vertices.met @ (scale * (direct + bounced))
+            before, bounced = bounced, self.vertices.met @ (scale * (direct + bounced))
             if float((bounced - before).detach().sum()) <= SETTLED * float((direct + bounced).detach().sum()):
                 break
         return SurfaceLight(shadow, bounced, scale * (direct + bounced), texels)

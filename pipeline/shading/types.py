@@ -11,7 +11,9 @@ import torch
 class Shaded:
     """Radiance leaving P points towards the camera, linear RGB.
 
-    stokes [P, 3 (s0, s1, s2), 3 (rgb)]; diffuse + specular = s0, both [P, 3].
+    Fields:
+        stokes: s0, s1, s2 by R, G, B. [P, 3, 3]
+        diffuse, specular: their sum is s0. [P, 3]
     """
 
     stokes: torch.Tensor

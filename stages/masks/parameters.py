@@ -24,7 +24,15 @@ class MasksParameters:
 
 
 def choose_method(capture: Capture, parameters: MasksParameters) -> tuple[str, str]:
-    """The method and the reason for it."""
+    """Choose how a capture's masks are made.
+
+    Args:
+        capture: as recognised.
+        parameters: of the stage; a method other than "auto" is taken.
+
+    Returns:
+        The method and the reason for it.
+    """
     if parameters.method != "auto":
         return parameters.method, f"masks.method={parameters.method}"
     if capture.kind == "light_stage":

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from pipeline.capture import Capture
 from pipeline.engine.stage import Decision, Stage, StageRun
-from stages import memory_estimate
+from stages import memory_estimate, time_estimate
 from stages.masks.parameters import MasksParameters, choose_method
 
 
@@ -46,4 +46,6 @@ STAGE = Stage(
     capture_files=capture_files,
     config=("clean_plate",),
     memory=memory,
+    costs=time_estimate.masks,
+    parallel=0.6,
 )

@@ -91,4 +91,4 @@ def _write_poisson(run: StageRun, mesh: Mesh, views: Views, voxel: float) -> Non
     surface = in_fixed_order(keep_faces(surface, surface.area() > 0))
     surface, _ = bake(surface, views, 3 * voxel)
     comments = ply_comment(world_offset(run.inputs["poses"] / files.CAMERAS))
-    write_ply(run.output / "mesh_poisson.ply", vertex_table(surface), surface.faces, comments=comments)
+    write_ply(run.output / files.POISSON, vertex_table(surface), surface.faces, comments=comments)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pipeline.capture import Capture
 from pipeline.capture.view_rules import too_few_views
 from pipeline.engine.stage import Decision, Stage, StageRun
-from stages import memory_estimate
+from stages import memory_estimate, time_estimate
 
 from .parameters import MeshParameters
 
@@ -21,7 +21,11 @@ def needed(capture: Capture, parameters: MeshParameters) -> Decision:
         return Decision(True, f"the masks and normals of {count} cameras become one surface, and their maps its material")
     if few := too_few_views(capture):
         return Decision(False, few)
-    return Decision(True, "a model is trained: its depth images become a surface")
+    passes = {
+        "textures": Decision(parameters.textures, "asked for" if parameters.textures else "switched off (mesh.textures)"),
+        "poisson": Decision(parameters.poisson, "asked for" if parameters.poisson else "not asked for (mesh.poisson)"),
+    }
+    return Decision(True, "a model is trained: its depth images become a surface", passes)
 
 
 def run(run: StageRun) -> None:
@@ -38,5 +42,5 @@ def run(run: StageRun) -> None:
 
 STAGE = Stage(
     "mesh", 4, MeshParameters, ("decode", "poses", "masks", "olat", "train"), needed, run, config=("up", "unit_m"),
-    memory=memory_estimate.mesh,
+    memory=memory_estimate.mesh, costs=time_estimate.mesh, parallel=0.2,
 )  # fmt: skip

@@ -8,15 +8,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.errors import UserError
-from pipeline.formats.dataset_files import DISAGREEMENT, MESH
+from pipeline.formats.dataset_files import DISAGREEMENT, MESH, POISSON
 from pipeline.formats.images import read_exr
+from pipeline.formats.obj import read_obj
 from pipeline.formats.ply import Ply
 from pipeline.geometry.rays import RayMesh
 from pipeline.geometry.world_offset import stored_offset
 
+from .mesh_quality import quality
 from .table import Table
 
 FIGURES = ("chamfer_pct", "accuracy_pct", "completeness_pct", "fscore_1pct")
+DISTANCES = ("chamfer", "accuracy", "completeness")
+MILLIMETRES = tuple(f"{name}_mm" for name in DISTANCES)
 
 
 def sample(vertices: NDArray, faces: NDArray, count: int, rng: np.random.Generator) -> NDArray[np.float64]:
@@ -48,29 +52,48 @@ def surface_figures(mesh: tuple[NDArray, NDArray], truth: tuple[NDArray, NDArray
 
 
 def read_mesh(path: Path) -> tuple[NDArray, NDArray]:
-    """Vertices [V, 3] and triangles [F, 3] of a PLY mesh. Raises UserError."""
-    ply = Ply(path)
-    triangles = ply.triangles()
+    """Vertices [V, 3] and triangles [F, 3] of a PLY or OBJ mesh. Raises UserError."""
+    if path.suffix == ".obj":
+        vertices, triangles = read_obj(path)
+    else:
+        ply = Ply(path)
+        vertices, triangles = ply.vertices(), ply.triangles()
     if not len(triangles):
         raise UserError(path, "holds no triangle", "mend or remove it")
-    return ply.vertices(), triangles
+    return vertices, triangles
 
 
-def mesh_table(folder: Path, truth: Path, count: int) -> Table:
-    """Figures of mesh.ply."""
-    table = Table()
-    vertices, faces = read_mesh(folder / MESH)
-    mesh = vertices + stored_offset(folder / MESH), faces
-    table.figures["triangles"] = len(mesh[1])
-    if truth.is_file():
-        table.figures |= surface_figures(mesh, read_mesh(truth), count)
-        table.figures |= seen_figures(folder / MESH, read_mesh(truth))
-    table.missing(FIGURES, "the capture has no gt/mesh.ply")
+def mesh_table(folder: Path, truth: Path, count: int, unit_m: float | None = None) -> Table:
+    """Figures of mesh.ply and, as the part `poisson`, of mesh_poisson.ply; `unit_m`: metres of a world unit, where known."""
+    true = read_mesh(truth) if truth.is_file() else None
+    table = _figures_of(folder / MESH, true, count, unit_m)
+    if true is not None:
+        table.figures |= seen_figures(folder / MESH, true)
+    if (folder / POISSON).is_file():
+        table.parts["poisson"] = _figures_of(folder / POISSON, true, count, unit_m)
     for path in sorted((folder / DISAGREEMENT).glob("*.exr")):
         found = read_exr(path)
         medians = {name: float(np.median(image[image > 0])) for name, image in found.items() if (image > 0).any()}
         table.rows.append({"view": path.stem, **{DISAGREEMENT_FIGURES[name]: v for name, v in medians.items()}})
     table.means()
+    return table
+
+
+def _figures_of(path: Path, truth: tuple[NDArray, NDArray] | None, count: int, unit_m: float | None) -> Table:
+    """How one surface hangs together, and its distances to the true one."""
+    table = Table()
+    vertices, faces = read_mesh(path)
+    table.figures["triangles"] = len(faces)
+    table.figures |= quality(vertices, faces)
+    table.missing(["genus"], "the surface is not closed")
+    if truth is not None:
+        table.figures |= surface_figures((vertices + stored_offset(path), faces), truth, count)
+        size = float(np.ptp(truth[0], axis=0).max())
+        if unit_m is not None:
+            table.figures |= {f"{name}_mm": table.figures[f"{name}_pct"] / 100 * size * unit_m * 1000 for name in DISTANCES}
+    table.missing(FIGURES, "the capture has no gt/mesh.ply")
+    unknown = "the capture has no gt/mesh.ply" if truth is None else "capture.toml does not tell unit_m"
+    table.missing(MILLIMETRES, unknown)
     return table
 
 

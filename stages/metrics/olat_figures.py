@@ -14,6 +14,7 @@ from pipeline.formats.ground_truth import Truth, camera_maps
 from pipeline.formats.images import RGB, XYZ, read_exr, read_image
 
 from .image_figures import angle_deg, erode
+from .olat_map_figures import add_map_figures
 from .table import Table
 
 NORMALS = ("diffuse_normal", "specular_normal", "normal")
@@ -76,7 +77,9 @@ def _camera(folder: Path, ground_truth: Truth) -> Table:
     part.figures["specular_albedo_median"] = float(np.median(specular[inside]))
     part.figures["residual_median"] = float(np.median(residual["Y"][inside]))
     part.figures["flagged_pct"] = float(100 * (flag[inside] > 0).mean())
-    _lobe(part, folder, ground_truth.document("gt_brdf.json"), truth, inside)
+    brdf = ground_truth.document("gt_brdf.json")
+    _lobe(part, folder, brdf, truth, inside)
+    add_map_figures(part, folder, brdf, truth, inside)
     return part
 
 

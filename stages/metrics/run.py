@@ -16,6 +16,8 @@ from .table import Table
 from .train_figures import train_table
 
 COSTS = ("wall_s", "cpu_s", "peak_rss_mb")
+LEFT_OUT = "left_out"
+"""Of metrics.json: what the plan left out, by STAGE or STAGE.PASS, with what that saved."""
 
 
 def measure(run: StageRun) -> None:
@@ -26,6 +28,7 @@ def measure(run: StageRun) -> None:
     for name, manifest in manifests.items():
         costs = {k: manifest.get(k) for k in COSTS}
         out[name] = {**tables.get(name, Table()).as_json(), **costs}
+    out[LEFT_OUT] = {name: dict(left) for name, left in run.left_out.items()}
     (run.output / "metrics.json").write_text(json.dumps(out, indent=1) + "\n")
     from .report.page import write_report
 
@@ -55,7 +58,7 @@ def figures(run: StageRun) -> dict[str, Table]:
                     run.warn(line)
                 _say_near_light(run)
             elif name == "mesh":
-                tables[name] = mesh_table(inputs["mesh"], truth.mesh, run.parameters.mesh_samples)
+                tables[name] = mesh_table(inputs["mesh"], truth.mesh, run.parameters.mesh_samples, capture.config.unit_m)
             elif capture.kind == "light_stage":
                 tables[name] = light_stage_table(inputs["relight"], masks)
             else:

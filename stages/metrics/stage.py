@@ -7,7 +7,7 @@ from pathlib import Path
 
 from pipeline.capture import Capture
 from pipeline.engine.stage import Decision, Stage, StageRun
-from stages import memory_estimate
+from stages import memory_estimate, time_estimate
 
 from .parameters import MetricsParameters
 
@@ -40,13 +40,14 @@ def run(run: StageRun) -> None:
 
 STAGE = Stage(
     name="metrics",
-    version=4,
+    version=5,
     parameters=MetricsParameters,
     needs=("decode", "poses", "masks", "olat", "train", "mesh", "relight"),
     needed=needed,
     run=run,
     capture_files=capture_files,
     check=check,
-    config=("up", "olat"),
+    config=("up", "olat", "unit_m"),
     memory=memory_estimate.metrics,
+    costs=time_estimate.metrics,
 )

@@ -11,12 +11,16 @@ import numpy as np
 from pipeline.formats import dataset_files as files
 from pipeline.formats.gbuffer import surface_of
 from pipeline.formats.ground_truth import Truth
-from pipeline.formats.images import RGB, read_exr, read_image, read_stokes
+from pipeline.formats.images import RGB, read_exr, read_image, read_stokes, srgb_encode
 from pipeline.report.explained import Explained, doubts, explained
 
 from .environment_figures import environment_figures
 from .image_figures import erode, normal_figures, polarisation_figures, radiance_figures
+from .lpips_distance import lpips
+from .lpips_distance import missing as lpips_missing
 from .material_figures import MAPS, holes_pct, material_figures
+from .part_figures import FIGURES as PART_FIGURES
+from .part_figures import part_figures
 from .table import Table
 from .targets import read_target
 
@@ -44,6 +48,9 @@ def train_table(train: Path, decode: Path, masks: Path | None, truth: Truth, fra
     behind = frames.get("polarisation") == "polarisers"
     table.missing(RADIANCE, "the views were taken behind polarisers: s0 is not measured" if behind else "no test view")
     table.missing(MAPS, "the capture has no gt/material/VIEW.exr")
+    table.missing(PART_FIGURES, "no gt/material/VIEW.exr holds that part (diffuse.R ..., specular.R ...)")
+    if not behind:
+        table.missing(["lpips"], lpips_missing() or "the views are smaller than its network takes")
     table.missing(POLARISATION, "the capture holds no Stokes vectors of its views")
     _material(table, truth)
     _environment(table, train, truth)
@@ -55,7 +62,8 @@ def _view_figures(
     train: Path, decode: Path, masks: Path | None, truth: Truth, view: str, frames: dict[str, Any], angles: dict[str, Any]
 ) -> dict[str, float]:
     path = files.held_back_image(train, view)
-    stokes, surface = read_stokes(path), surface_of(read_exr(path))
+    channels = read_exr(path)
+    stokes, surface = read_stokes(path), surface_of(channels)
     normal = surface.normal
     target, true_normal = read_target(decode, masks, view), truth.normal(view)
     inside = target.inside
@@ -69,7 +77,7 @@ def _view_figures(
     out["holes_pct"] = holes_pct(surface.alpha, inside)
     true_material = truth.find("material", view)
     if true_material is not None:
-        out |= material_figures(true_material, surface, inside)
+        out |= material_figures(true_material, surface, inside) | part_figures(true_material, channels, inside)
     if true_normal is not None and true_normal.shape == normal.shape:
         out |= normal_figures(normal, true_normal, inside)
     if target.rgb.shape != stokes[:, :, 0].shape:
@@ -86,7 +94,10 @@ def _view_figures(
             return out
         t = 2 * np.radians(angle)
         seen, suffix = 0.5 * (seen + stokes[:, :, 1] * np.cos(t) + stokes[:, :, 2] * np.sin(t)), "_behind_polariser"
-    out |= {f"{name}{suffix}": value for name, value in radiance_figures(seen, target.rgb, inside).items()}
+    figures = radiance_figures(seen, target.rgb, inside)
+    distance = lpips(srgb_encode(seen), srgb_encode(target.rgb))
+    figures |= {"lpips": distance} if distance is not None else {}
+    out |= {f"{name}{suffix}": value for name, value in figures.items()}
     found = explained(seen[inside], target.rgb[inside], polarised, facts.get("noise") or 0.0)
     named = {"likeness": found.likeness, "off": found.off, "polarisation_unexplained": found.polarisation}
     return out | {name: value for name, value in named.items() if value is not None}

@@ -21,8 +21,9 @@ from .mesh_figures import read_mesh
 MEND = "mend or remove it"
 CHANNELS = {"normal": ("X", "Y", "Z"), "relight": ("S0.R", "S0.G", "S0.B"), "material": MATERIAL}
 """Of the images in gt/FOLDER that are compared with."""
-MAPS = {"mask": (), "normal": (3,), "albedo": (3, 4), "dp_du": (3, 4)}
-"""Arrays of maps.npz: the mask [H, W], the others [H, W, this many]; dp_du alone may be absent."""
+MAPS = {"mask": (), "normal": (3,), "albedo": (3, 4), "dp_du": (3, 4), "specular_albedo": (), "sigma": (2,), "occlusion": ()}
+"""Arrays of maps.npz: [H, W] or [H, W, this many]; the first three have to be there."""
+NEEDED = ("mask", "normal", "albedo")
 READ_S = 15.0
 """Seconds of reading pixels, to find files that end early; after that headers must do."""
 
@@ -38,7 +39,7 @@ def check_truth(capture: Capture, files: Iterable[Path]) -> None:
             _check_maps(path, capture)
         elif path.suffix == ".json":
             _check_document(path)
-        elif parts == ("gt", "mesh.ply"):
+        elif path == truth.mesh:
             read_mesh(path)
         elif parts == ("gt", "env.hdr") or (parts[1] in CHANNELS and path.suffix == ".exr"):
             size = sizes.get(truth.view_of(path.stem) or "")
@@ -62,7 +63,7 @@ def _check_maps(path: Path, capture: Capture) -> None:
     names, shapes = array_names(path), {}
     for name, depth in MAPS.items():
         if name not in names:
-            if name == "dp_du":
+            if name not in NEEDED:
                 continue
             raise UserError(path, f"has no {name} (it has {', '.join(names[:8])})", "add it, or remove the file")
         shape = array_shape(path, name)

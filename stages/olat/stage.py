@@ -6,8 +6,9 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from pipeline.capture import Capture
+from pipeline.engine.costs import Cost
 from pipeline.engine.stage import Decision, Stage, StageRun
-from stages import memory_estimate
+from stages import memory_estimate, time_estimate
 from stages.olat.parameters import OlatParameters
 
 
@@ -28,6 +29,7 @@ def needed(capture: Capture, parameters: OlatParameters) -> Decision:
         ),
     }  # fmt: skip
     cameras = f"{len(stage.cameras)} camera{'s' * (len(stage.cameras) != 1)}"
+    passes["pixels outside the masks"] = Decision(False, "only pixels of the object are fitted")
     return Decision(True, f"{cameras} under {len(stage.lights)} lights, cross and parallel", passes)
 
 
@@ -41,11 +43,23 @@ def capture_files(capture: Capture) -> Iterable[Path]:
 
 def memory(capture: Capture, parameters: OlatParameters, jobs: int) -> float:
     """MiB at its peak."""
+    return memory_estimate.olat(capture, parameters, jobs, _compiled(capture, parameters))
+
+
+def costs(capture: Capture, parameters: OlatParameters) -> dict[str, Cost]:
+    """What it takes, with what its passes take."""
+    if capture.light_stage is None:
+        return time_estimate.olat(capture, parameters, compiled=True)
+    return time_estimate.olat(capture, parameters, _compiled(capture, parameters))
+
+
+def _compiled(capture: Capture, parameters: OlatParameters) -> bool:
+    """Whether the fits' machine code is kept for such frames."""
     from stages.olat.pixel_fit.many_pixels import ready
 
     assert capture.light_stage is not None
     half = all(c.cross and c.cross[0].suffix.lower() == ".exr" for c in capture.light_stage.cameras.values())
-    return memory_estimate.olat(capture, parameters, jobs, ready(half, parameters.precision))
+    return ready(half, parameters.precision)
 
 
 def run(stage: StageRun) -> None:
@@ -63,7 +77,7 @@ def run(stage: StageRun) -> None:
 
 STAGE = Stage(
     name="olat",
-    version=10,
+    version=11,
     parameters=OlatParameters,
     needs=("decode", "masks"),
     needed=needed,
@@ -71,4 +85,6 @@ STAGE = Stage(
     capture_files=capture_files,
     config=("olat", "radiometry"),
     memory=memory,
+    costs=costs,
+    parallel=0.8,
 )

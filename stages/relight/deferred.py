@@ -30,7 +30,7 @@ class Surface:
     frame_y: NDArray
     pixels: NDArray[np.int64] | None = None
 
-    def part(self, rows: slice) -> Surface:
+    def part(self, rows: slice | NDArray[np.int64]) -> Surface:
         """Some of the points."""
         pixels = None if self.pixels is None else self.pixels[rows]
         images = (self.position, self.normal, self.view, self.material, self.frame_x, self.frame_y)

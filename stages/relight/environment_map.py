@@ -12,7 +12,17 @@ from pipeline.formats.images import RGB, read_image
 
 
 def read_map(path: Path) -> tuple[NDArray[np.float32], list[str]]:
-    """Latitude-longitude radiance [H, W, 3], finite and >= 0, and what had to be mended. Raises UserError."""
+    """Read an environment map of the user's.
+
+    Args:
+        path: a latitude-longitude image.
+
+    Returns:
+        Linear radiance, finite and >= 0 [H, W, 3], and what had to be mended.
+
+    Raises:
+        UserError: it cannot be read, or is not twice as wide as high.
+    """
     pixels = read_image(path)
     pixels = np.repeat(pixels[..., :1], 3, -1) if pixels.shape[-1] < 3 else read_image(path, RGB)
     height, width = pixels.shape[:2]

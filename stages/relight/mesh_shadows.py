@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -11,14 +12,31 @@ from numpy.typing import NDArray
 from pipeline.geometry.occluder import Occluder, simplified
 from pipeline.geometry.world import Y_UP_FROM
 from pipeline.shading import Occlusion
+from pipeline.shading.sharp_shadows import Points, SharpShadows
 from pipeline.shading.transfer import Attachment, SurfaceLight, Transfer
 
 from .deferred import Lamp, ShadingModel, Surface
 from .mesh_images import read_baked_mesh
 
-TRANSFER_TEXELS = 16  # along a cube face: shadows' edges are 6 degrees wide
+TRANSFER_TEXELS = 16  # along a cube face: what is even of the light has shadows with edges 6 degrees wide
 FACES = 20_000  # of the mesh that throws them
 NEIGHBOURS = 3  # coarse vertices that a fine one is interpolated from
+
+
+@dataclass(frozen=True)
+class Tied:
+    """A view's points in the maps' frame, tied to the mesh."""
+
+    points: Points
+    attachment: Attachment
+
+
+@dataclass(frozen=True)
+class MapLight:
+    """Light at the mesh's vertices under one map, and the shadows of the map's bright parts."""
+
+    surface: SurfaceLight
+    sharp: SharpShadows
 
 
 class SelfOcclusion:
@@ -38,12 +56,14 @@ class SelfOcclusion:
         occluder = Occluder(coarse @ self._turn.T, triangles)
         self._transfer = Transfer(occluder, material[:, :3], ior=ior, resolution=TRANSFER_TEXELS)
 
-    def under(self, lamp: Lamp) -> SurfaceLight:
+    def under(self, lamp: Lamp) -> MapLight:
         """Light at the mesh's vertices under a map."""
-        return self._transfer.light(lamp.cube)
+        light = self._transfer.light(lamp.cube)
+        return MapLight(light, SharpShadows(self._transfer, light, lamp.light))
 
-    def on_mesh(self, light: SurfaceLight) -> NDArray[np.float32]:
+    def on_mesh(self, light: MapLight | SurfaceLight) -> NDArray[np.float32]:
         """Shadow and bounced light [V, 6] at the vertices of mesh.ply, from the nearest of the coarse mesh's."""
+        light = light.surface if isinstance(light, MapLight) else light
         distance, index = self._coarse_of_fine
         weight = 1 / (distance + 1e-3 * distance.max() + np.finfo(float).tiny)  # a vertex of both meshes takes its own value
         weight /= weight.sum(1, keepdims=True)
@@ -73,12 +93,16 @@ class SelfOcclusion:
         near = mesh.nearest(points)
         return np.einsum("pk,pkc->pc", near.weights, mesh.vertices[near.vertices])
 
-    def attach(self, surface: Surface, own_rays: bool = False, name: str = "") -> Attachment:
+    def attach(self, surface: Surface, own_rays: bool = False, name: str = "") -> Tied:
         """Rays of a view's points: they hold for every map. own_rays: also for diffuse light (`Transfer.attach`)."""
         points, normals, view = (np.asarray(v @ self._turn.T) for v in (surface.position, surface.normal, surface.view))
         points = self._on_mesh(points)
-        return self._transfer.attach(points, normals, view, surface.material[:, 3], lobe=self._lobe, own_rays=own_rays)
+        roughness, ior = surface.material[:, 3], surface.material[:, 4]
+        attachment = self._transfer.attach(points, normals, view, roughness, lobe=self._lobe, own_rays=own_rays)
+        return Tied(Points.of(points, normals, view, roughness, ior), attachment)
 
-    def at(self, attachment: Attachment, light: SurfaceLight) -> Occlusion:
-        """What shading needs at a view's points under one map."""
-        return self._transfer.occlusion(attachment, light)
+    def at(self, tied: Tied, light: MapLight | SurfaceLight) -> Occlusion:
+        """What shading needs at a view's points under one map, or of lamps that are none (`lit`), without their own shadows."""
+        if isinstance(light, MapLight):
+            return light.sharp.occlusion(tied.points, tied.attachment, light.surface)
+        return self._transfer.occlusion(tied.attachment, light)

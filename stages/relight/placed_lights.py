@@ -19,9 +19,7 @@ from .lights_file import Light
 from .mesh_images import MeshPixels
 
 if TYPE_CHECKING:
-    from pipeline.shading.transfer import Attachment
-
-    from .mesh_shadows import SelfOcclusion
+    from .mesh_shadows import SelfOcclusion, Tied
 
 SIDE = 8  # cells along a lamp's side: a half-shadow has 64 steps, below one of 8 bits in most of it
 BLOCK = 8192  # points at a time: 64 cells of each make some 200 MB
@@ -40,7 +38,7 @@ class PlacedLighting:
             self._light = occluder.lit(torch.cat([received(_single(n), *self._arriving(at, n)) for at, n in parts]))
             self._bounced = occluder.on_mesh(self._light)
 
-    def of_view(self, surface: Surface, attachment: Attachment | None) -> NDArray[np.float32]:
+    def of_view(self, surface: Surface, attachment: Tied | None) -> NDArray[np.float32]:
         """Shadowed, with one bounce, reflections too."""
         direct = self._direct(surface)
         if self.occluder is None or attachment is None:

@@ -6,7 +6,7 @@ from pipeline.capture import Capture
 from pipeline.capture.view_rules import too_few_views
 from pipeline.engine.stage import Decision, Stage, StageRun
 from pipeline.environments import NO_MAPS, shipped_map
-from stages import memory_estimate
+from stages import memory_estimate, time_estimate
 
 from .given_files import given_files
 from .parameters import RelightParameters
@@ -21,7 +21,11 @@ def needed(capture: Capture, parameters: RelightParameters) -> Decision:
     maps = _counted(capture, parameters)
     if capture.kind == "light_stage":
         return Decision(True, f"{maps}: summed from the frames and rendered from the fitted maps")
-    return Decision(True, f"{maps} to light the model with")
+    turning = "asked for" if parameters.turntable else "not asked for (relight.turntable)"
+    passes = {"turntable": Decision(parameters.turntable > 0, turning)}
+    off = parameters.indirect == "none"
+    passes["indirect"] = Decision(not off, "switched off" if off else f"{parameters.indirect}, if the mesh hides any of itself")
+    return Decision(True, f"{maps} to light the model with", passes)
 
 
 def check(capture: Capture) -> None:
@@ -55,7 +59,7 @@ def run(run: StageRun) -> None:
 
 STAGE = Stage(
     name="relight",
-    version=5,
+    version=6,
     parameters=RelightParameters,
     needs=("decode", "poses", "masks", "olat", "train", "mesh"),
     needed=needed,
@@ -65,4 +69,6 @@ STAGE = Stage(
     given_files=given_files,
     environments=True,
     memory=memory_estimate.relight,
+    costs=time_estimate.relight,
+    parallel=0.3,
 )

@@ -48,7 +48,7 @@ def relight_views(run: StageRun) -> None:
     with run.progress.bar("relighting", total=len(lights) * len(paths), unit="images") as bar:
         for view, gbuffer in paths.items():
             pixels = read_view(gbuffer, cameras[view], files.mask(masks, view) if masks else None, mesh)
-            surfaces = [pixels.surface] + ([pixels.outlines.seen.surface] if pixels.outlines else [])
+            surfaces = [pixels.surface] + ([pixels.outlines.surface] if pixels.outlines else [])
             ties = Ties(surfaces, p.shadow_rays == "pixel", view)
             for name, lighting in lights.items():
                 image = pixels.image(*(lighting.of_view(s, tie) for s, tie in zip(surfaces, ties.to(lighting.occluder))))

@@ -15,7 +15,7 @@ from pipeline.geometry.cameras import Camera
 
 from .deferred import Surface
 from .mesh_images import BakedMesh
-from .outlines import Outlines, blended, find_outlines, interior, silhouette, without_bright_rims
+from .outlines import OPAQUE, Inner, Outlines, blended, find_outlines, interior, silhouette, without_bright_rims
 
 LEAST_ALPHA = 1 / 255  # below it nothing shows in any display
 
@@ -47,23 +47,26 @@ class ViewPixels:
 def read_view(path: Path, camera: Camera, mask: Path | None, mesh: BakedMesh | None = None) -> ViewPixels:
     """A view's G-buffer as shaded pixels; outside the mask (and the pixel beside it, half covered) there are none.
 
-    With a mesh, the silhouette is shaded from it. Inside the mask it is not: it closes slots that the G-buffer shows.
+    With a mesh, the silhouette is shaded from it, and so are blends inside the mask where the mesh lies as the G-buffer does:
+    it may close slots that the latter shows.
     """
     g = read_gbuffer(path)
     height, width = g.alpha.shape
     camera = camera.resized(width, height)
     shown = (g.alpha > LEAST_ALPHA) & (np.linalg.norm(g.normal, axis=-1) > 0.5)
-    whole = np.zeros_like(shown)
+    whole = inside = np.zeros_like(shown)
     if mask is not None and mask.exists():
-        inside = read_mask(mask)
-        if inside.shape == shown.shape:
+        given = read_mask(mask)
+        if given.shape == shown.shape:
+            inside = given
             shown &= grown(inside)
             whole = interior(inside)
     index = np.flatnonzero(shown)
     rays = camera.rays()
     frame_x, frame_y = camera.stokes_frame()
     along = rays @ camera.world_to_camera[2, :3]  # z of a unit ray
-    position = camera.centre + rays * (g.depth / along)[..., None]
+    distance = g.depth / along
+    position = camera.centre + rays * distance[..., None]
     images = (position, g.normal, -rays, g.material, frame_x, frame_y)
     position, normal, view, material, frame_x, frame_y = (v.reshape(-1, v.shape[-1])[index] for v in images)
     surface = Surface(position, normal, view, material, frame_x, frame_y, index)
@@ -71,6 +74,13 @@ def read_view(path: Path, camera: Camera, mask: Path | None, mesh: BakedMesh | N
     rim = blended(g.normal)
     if mesh is None:
         return ViewPixels((height, width), index, alpha, surface, rim)
-    outlines = find_outlines(mesh, camera, index, silhouette(g.alpha, whole))
-    rim.ravel()[index[outlines.rows[outlines.coverage > 0]]] = False
+    edge = silhouette(g.alpha, whole)
+    steady = shown & ~rim & (g.alpha >= OPAQUE)
+    pixel = float(np.linalg.norm(rays[height // 2, width // 2] - rays[height // 2, width // 2 - 1])) if width > 1 else 1.0
+    inner = Inner(inside & (rim | (g.alpha < OPAQUE)), np.where(steady, distance, np.nan), pixel)
+    outlines = find_outlines(mesh, camera, index, edge, inner)
+    rim.ravel()[index[outlines.rows[outlines.met]]] = False
+    # Mask and mesh both see the object there, whatever the splats lack.
+    solid = inside.ravel()[index[outlines.rows]]
+    alpha[outlines.rows] = np.maximum(alpha[outlines.rows], outlines.coverage * solid)
     return ViewPixels((height, width), index, alpha, surface, rim, outlines)

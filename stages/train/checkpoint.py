@@ -13,7 +13,7 @@ import torch
 
 NAME = "checkpoint.pt"
 DIGEST_BYTES = 16  # before the state: a damaged state may still load
-SCHEMA = 2  # of the saved state; one of another schema is as none
+SCHEMA = 3  # of the saved state; one of another schema is as none
 
 
 def save(folder: Path, state: dict[str, Any]) -> None:

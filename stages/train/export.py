@@ -88,6 +88,11 @@ def with_normals(
     return out
 
 
+def with_inner_sides(channels: dict[str, np.ndarray], coverage: torch.Tensor) -> dict[str, np.ndarray]:
+    """The channels with an alpha that counts inner sides, seen through openings, too: `coverage` [H, W] by them."""
+    return {**channels, "alpha": np.maximum(channels["alpha"], coverage.cpu().numpy())}
+
+
 def write_gaussians(path: Path, model: SplatModel, frame: SceneFrame, offset: np.ndarray | None = None) -> None:
     """Write gaussians.ply as 3DGS and 2DGS viewers read it: raw opacity (logit), log scales, wxyz quaternions.
 

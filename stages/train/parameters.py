@@ -55,6 +55,9 @@ class TrainParameters:
     )
     start_fraction: float = _p(0.8, "share of max_splats to start with; the rest is for densification (fraction)")
     splat_pixels: float = _p(0.9, "wanted distance between neighbouring Gaussians (pixels of the training images)")
+    pixels_per_splat: float = _p(
+        0.0, "pixels of a view that a step looks at, for each splat that faces it, until the last phase; 0 = all (pixels)"
+    )
     hull_resolution: int = _p(112, "voxels along the longest side of the visual hull (count)")
     coarse_fraction: float = _p(0.0, "share of the steps that see images of half the size (fraction)")
     consolidate_fraction: float = _p(0.15, "share of the steps at the end that see every training view (fraction)")
@@ -118,6 +121,8 @@ class TrainParameters:
             raise ValueError("environment_resolution must be 8, 16, 32, 64 or 128")
         if not 0.3 <= self.splat_pixels <= 10:
             raise ValueError("splat_pixels must lie between 0.3 and 10")
+        if self.pixels_per_splat < 0:
+            raise ValueError("pixels_per_splat must be at least 0")
         if not 0 <= self.weight_dssim <= 1:
             raise ValueError("weight_dssim must lie between 0 and 1")
         if self.max_splats < 100:

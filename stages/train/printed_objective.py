@@ -5,7 +5,8 @@ from __future__ import annotations
 import torch
 
 from .parameters import TrainParameters
-from .render_view import LEAST_ALPHA, Rendered
+from .pixel_attributes import LEAST_ALPHA
+from .render_view import Rendered
 from .views import printed_losses as losses
 from .views.source_views import Mode
 from .views.view import View

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 
 from pipeline.shading import LightField, Occlusion, Shaded, shade
 
 from .indirect.pixel_light import PixelLight
+from .pixel_attributes import pixel_attributes
 from .rasterize import Raster, rasterize
+from .splats.activation import facing, taken_rows
 from .splats.gaussians import Splats, unit
 from .views.view import View
 
@@ -19,7 +21,6 @@ SCREEN_FILTER = 2  # half of gsplat's low-pass filter, which widens every outlin
 LAYER = 4.0  # median splat sigmas of depth within which splats are one surface: two pixels, when they are 0.9 apart
 SAMPLES = SCREEN_FILTER  # a side, for a pixel's mean normal: the filter is then the usual one on the larger image
 SHOWN = 0.5  # opacity from which a place shows what is there: normals exist where transmittance falls to one half
-LEAST_ALPHA = 1e-3  # opacity below which a pixel's attributes are noise over noise: they then fade to zero instead
 
 
 @dataclass(frozen=True)
@@ -63,24 +64,10 @@ def rasterise_view(
     Returns:
         Attributes at the pixels, divided by opacity; where opacity is below LEAST_ALPHA they fade to 0.
     """
-    height, width = view.size
     rows = torch.nonzero(_faces(splats, view))[:, 0]
-    columns = [splats.normals, splats.albedo, splats.roughness[:, None], splats.ior[:, None]]
-    features = torch.cat(columns if extra is None else [*columns, extra], -1)[rows]
-    raster = _rasterised(splats, rows, features, view, backend)
-    alpha = raster.alpha.reshape(-1)[pixels]
-    values = raster.features.reshape(height * width, -1)[pixels] / alpha.clamp_min(LEAST_ALPHA)[:, None]
-    return GBuffer(
-        normal=unit(values[:, :3]),
-        albedo=values[:, 3:6],
-        roughness=values[:, 6],
-        ior=values[:, 7],
-        extra=values[:, 8:],
-        alpha=alpha,
-        alpha_image=raster.alpha,
-        raster=raster,
-        rows=rows,
-    )
+    raster = _rasterised(splats, rows, view, backend, extra)
+    normal, albedo, roughness, ior, more, alpha = pixel_attributes(raster.features, raster.alpha, pixels)
+    return GBuffer(normal, albedo, roughness, ior, more, alpha, raster.alpha, raster, rows)
 
 
 @torch.no_grad()
@@ -96,8 +83,8 @@ def mean_normals(splats: Splats, view: View, backend: str, openings: bool) -> to
     total = None
     for side in sides:
         rows = torch.nonzero(side)[:, 0]
-        raster = _rasterised(splats, rows, splats.normals[rows], view, backend, SAMPLES)
-        shown = unit(raster.features) * (raster.alpha > SHOWN)[..., None]
+        raster = _rasterised(splats, rows, view, backend, finer=SAMPLES)
+        shown = unit(raster.features[..., :3]) * (raster.alpha > SHOWN)[..., None]
         total = shown if total is None else torch.where((total != 0).any(-1, keepdim=True), total, shown)
     assert total is not None
     height, width = view.size
@@ -106,32 +93,41 @@ def mean_normals(splats: Splats, view: View, backend: str, openings: bool) -> to
 
 
 @torch.no_grad()
+def inner_coverage(splats: Splats, view: View, backend: str) -> torch.Tensor:
+    """How far splats that surely show a view their inner side cover its pixels [H, W].
+
+    Through an opening one looks at the back of a surface, which is as opaque as its front.
+    """
+    turned = replace(splats, normals=-splats.normals)
+    rows = torch.nonzero(_faces(turned, view))[:, 0]
+    return _rasterised(splats, rows, view, backend).alpha
+
+
+@torch.no_grad()
 def _faces(splats: Splats, view: View) -> torch.Tensor:
     """Which splats [N] do not show the view their inner side."""
     centre = -view.world_to_camera[:3, :3].T @ view.world_to_camera[:3, 3]
-    towards = centre - splats.means
-    return (splats.normals * towards).sum(-1) > BACK_FACING * towards.norm(dim=-1)
+    return facing(splats, centre, BACK_FACING)
 
 
-def _rasterised(splats: Splats, rows: torch.Tensor, features: torch.Tensor, view: View, backend: str, finer: int = 1) -> Raster:
-    """The splats `rows` with their features [R, C] in a view, `finer` (1 or SCREEN_FILTER) times as large."""
+def _rasterised(
+    splats: Splats, rows: torch.Tensor, view: View, backend: str, extra: torch.Tensor | None = None, finer: int = 1
+) -> Raster:
+    """The splats `rows` in a view, `finer` (1 or SCREEN_FILTER) times as large, with features [H, W, 8 + C]: normal, albedo,
+    roughness, IoR and `extra` [N, C]."""
     height, width = view.size
     lens = view.intrinsics.clone()
     lens[:2] *= finer
-    scales = splats.scales.detach()
+    widths = splats.scales.detach()[:, 0]
     return rasterize(
-        splats.means[rows],
-        splats.quaternions[rows],
-        splats.scales[rows],
-        splats.opacities[rows],
-        features,
+        *taken_rows(splats, rows, extra),
         view.world_to_camera,
         lens,
         finer * width,
         finer * height,
         backend=backend,
         screen_filter=SCREEN_FILTER // finer,
-        layer=LAYER * float(scales.median()) if len(scales) else 0.0,
+        layer=LAYER * float(widths.median()) if len(widths) else 0.0,
     )
 
 

@@ -11,7 +11,8 @@ from pipeline.shading.occluded import LEAST_BLOCKED
 
 from .indirect.substitutes import substitute
 from .parameters import TrainParameters
-from .render_view import LEAST_ALPHA, GBuffer, Rendered, rasterise_view, render_view
+from .pixel_attributes import LEAST_ALPHA
+from .render_view import GBuffer, Rendered, rasterise_view, render_view
 from .scene import Scene
 from .splats.gaussians import ROUGHNESS_FLOOR, Splats
 from .splats.splat_occlusion import carried_hull, trace_pixels, trace_splats
@@ -38,8 +39,12 @@ class Renderer:
 
     def render(self, view: View, level: int, light: LightField | None = None) -> Rendered:
         """A training view at a pyramid level, with the occlusion traced for it last. `light` saves prefiltering again."""
+        return self.render_under(view, self.scene.occlusion.get((view.name, level)), light)
+
+    def render_under(self, view: View, occlusion: Occlusion | None, light: LightField | None = None) -> Rendered:
+        """A view with the occlusion of its counting pixels given."""
         light = light if light is not None else self.light()
-        return self._shaded(self.scene.model.activated(), view, light, self.scene.occlusion.get((view.name, level)))
+        return self._shaded(self.scene.model.activated(), view, light, occlusion)
 
     def render_whole(self, view: View) -> Rendered:
         """Any view, traced for itself where the object occludes itself."""

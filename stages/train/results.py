@@ -15,8 +15,9 @@ from pipeline.geometry.lens import frame_table
 from pipeline.report.explained import FEWEST, doubts, explained
 
 from . import export
+from .lit.write import LitSplats, cameras_around, write_lit
 from .objective import compared
-from .render_view import Rendered, mean_normals
+from .render_view import Rendered, inner_coverage, mean_normals
 from .setup import Start
 from .trainer import Trainer
 from .views.source_views import SourceView
@@ -96,12 +97,26 @@ def openings_share(trainer: Trainer) -> float:
     return float(np.mean([view.openings for view in trainer.pyramids[0]]))
 
 
+def write_lit_splats(
+    lit: LitSplats, trainer: Trainer, start: Start, sources: list[SourceView], stage: StageRun, offset: np.ndarray
+) -> None:
+    """splats_lit.ply and .spz, from what `lit` has seen from the captured cameras and from cameras all around."""
+    around = cameras_around([s for s in sources if s.split != "test"], start.frame, lit.pixel())
+    with stage.progress.bar("lit splats", total=len(around), unit="views") as bar:
+        for source in around:
+            lit.keep(*whole_view(trainer, start, source))
+            bar.advance()
+    for warning in write_lit(stage.output, lit, offset):
+        stage.warn(warning)
+
+
 def write_results(trainer: Trainer, start: Start, sources: list[SourceView], stage: StageRun) -> None:
     """Everything that docs/dataset.md lists for this stage, except the log."""
     output, frame = stage.output, start.frame
     (output / files.TESTS).mkdir(parents=True, exist_ok=True)
     (output / files.GBUFFERS).mkdir(parents=True, exist_ok=True)
     openings = openings_share(trainer) > 0
+    lit = LitSplats(trainer.renderer, frame)
     with stage.progress.bar("writing views", total=len(sources), unit="views") as bar:
         for source in sources:
             view, rendered = whole_view(trainer, start, source)
@@ -110,12 +125,17 @@ def write_results(trainer: Trainer, start: Start, sources: list[SourceView], sta
             if rendered.gbuffer.extra.shape[-1]:
                 export.write_learnt_light(files.learnt_light(output, source.name), rendered, view, frame)
             if source.split == "test":
-                normals = mean_normals(trainer.scene.model.activated(), view, trainer.renderer.backend, openings)
-                channels = export.with_normals(channels, normals, view, frame)
+                splats, backend = trainer.scene.model.activated(), trainer.renderer.backend
+                channels = export.with_normals(channels, mean_normals(splats, view, backend, openings), view, frame)
+                if openings:
+                    channels = export.with_inner_sides(channels, inner_coverage(splats, view, backend))
                 write_exr(files.held_back_image(output, source.name), channels)
+            else:
+                lit.keep(view, rendered)
             bar.advance()
     offset = world_offset(stage.inputs["poses"] / files.CAMERAS)
-    export.write_gaussians(output / "gaussians.ply", trainer.scene.model, frame, offset)
+    export.write_gaussians(output / files.GAUSSIANS, trainer.scene.model, frame, offset)
+    write_lit_splats(lit, trainer, start, sources, stage, offset)
     export.write_environment(output / files.ENVIRONMENT, trainer.scene.environment.radiance(), frame)
     export.write_polarisers(output / files.POLARISERS, trainer.scene.bank)
     facts = {

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pipeline.capture import Capture
 from pipeline.capture.view_rules import MIN_TRAINING_VIEWS
 from pipeline.engine.stage import Decision, Stage, StageRun
-from stages import memory_estimate
+from stages import memory_estimate, time_estimate
 
 from .parameters import TrainParameters
 
@@ -36,6 +36,7 @@ def needed(capture: Capture, parameters: TrainParameters) -> Decision:
     why_not = "switched off" if parameters.concavities == "off" else "only full Stokes is evidence enough"
     concavities = Decision(True, why) if parameters.searches_concavities(mode) else Decision(False, why_not)
     passes = {"polarisation_loss": polarised, "polariser_angles": angles, "indirect": indirect, "concavities": concavities}
+    passes["pixels outside the masks"] = Decision(False, "only pixels of the object are rendered")
     return Decision(True, f"{len(capture.views)} views of one object", passes)
 
 
@@ -53,7 +54,7 @@ def run(stage: StageRun) -> None:
 
 STAGE = Stage(
     name="train",
-    version=8,
+    version=9,
     parameters=TrainParameters,
     needs=("decode", "poses", "masks"),
     needed=needed,
@@ -61,4 +62,6 @@ STAGE = Stage(
     config=("up", "polarisers"),
     device=True,
     memory=memory_estimate.train,
+    costs=time_estimate.train,
+    parallel=0.3,
 )

@@ -5,7 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 import torch
+
+from pipeline.shading import Occlusion
 
 from .evaluate import validation_psnr
 from .objective import loss_terms
@@ -20,7 +23,7 @@ from .upkeep import REFRESH, Upkeep
 from .views.angle_fit import AngleFit, fit_angles
 from .views.source_views import Mode
 from .views.training_frame import SceneFrame
-from .views.view import View
+from .views.view import View, spread, thinned
 
 ANGLE_STEPS = (200, 300)  # steps at which unknown polariser angles are solved for outright; descent does the rest
 
@@ -61,8 +64,8 @@ class Trainer:
             self.upkeep.refresh(self.iteration, self.pyramids[phase.level], phase.level)
         if self.iteration in ANGLE_STEPS and phase.level == 0:
             self.set_unknown_angles(phase.level)
-        view = self.view_at(self.iteration, phase)
-        rendered = self.renderer.render(view, phase.level)
+        view, occlusion = self.looked_at(self.view_at(self.iteration, phase), phase)
+        rendered = self.renderer.render_under(view, occlusion)
         terms, surface_parts = loss_terms(self.parameters, self.mode, self.scene, view, rendered)
         torch.stack(list(terms.values())).sum().backward()
         self.update(rendered, phase)
@@ -80,13 +83,36 @@ class Trainer:
     def phase(self, iteration: int) -> Phase:
         """The schedule's settings at a step."""
         p = self.parameters
-        return phase_at(iteration / p.iterations, p.coarse_fraction, p.consolidate_fraction)
+        return phase_at(iteration / p.iterations, p.coarse_fraction, p.consolidate_fraction, iteration)
 
     def view_at(self, iteration: int, phase: Phase) -> View:
         """The training view of a step: every view once an epoch, in an order that seed and epoch fix."""
         views = [v for v in self.pyramids[phase.level] if v.split == "train" or (phase.every_view and v.split == "validation")]
         epoch, place = divmod(iteration, len(views))
         return views[epoch_order(self.parameters.seed, epoch, len(views))[place]]
+
+    def looked_at(self, view: View, phase: Phase) -> tuple[View, Occlusion | None]:
+        """A step's view and its occlusion: with `pixels_per_splat`, that many of its pixels for each splat in it.
+
+        They are spread evenly, and others at each step. The last phase sees all.
+        """
+        p, occlusion = self.parameters, self.scene.occlusion.get((view.name, phase.level))
+        wanted = round(p.pixels_per_splat * len(self.scene.model) / 2)  # half of a closed surface turns away
+        images = p.losses != "encoded" or p.weight_dssim > 0  # these losses compare neighbouring pixels
+        if (
+            not wanted
+            or phase.every_view
+            or images
+            or wanted >= len(view.pixels)
+            or not isinstance(occlusion, Occlusion | None)
+        ):
+            return view, occlusion
+        rng = np.random.default_rng([p.seed, 1, self.iteration])
+        chosen = torch.as_tensor(spread(len(view.pixels), wanted, rng), device=view.pixels.device)
+        if occlusion is not None:
+            parts = (occlusion.shadow, occlusion.bounced, occlusion.unblocked, occlusion.seen)
+            occlusion = Occlusion(*(t[chosen] for t in parts))
+        return thinned(view, chosen), occlusion
 
     def skip_to_consolidation(self) -> None:
         """Go on at the last phase: every view, falling learning rates."""

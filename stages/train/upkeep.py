@@ -91,16 +91,15 @@ class Upkeep:
         """Remove what does not show, then add where the images pull hardest, up to the bound, while there is time."""
         p, model = self.parameters, self.scene.model
         if p.densify and iteration / p.iterations <= DENSIFY_UNTIL:
-            self._remove_hidden()
+            self._remove_faint()
             split_edges(model, self.adam, edges_to_split(self.scene.linked(), self.activity, p.max_splats - len(model)))
             self.scene.link_neighbours()
         self.forget_activity()
 
-    def _remove_hidden(self) -> None:
-        """Remove faint and hidden splats, not those at the back of an opening."""
+    def _remove_faint(self) -> None:
+        """Remove the splats that the images made transparent."""
         model = self.scene.model
-        backs = any(view.openings > 0 for view in self.views)
-        rows = kept_rows(torch.sigmoid(model["opacity"].detach()), self.activity, backs)
+        rows = kept_rows(torch.sigmoid(model["opacity"].detach()))
         if len(model) > len(rows) > int((1 - MOST_REMOVED) * len(model)):
             keep(model, self.adam, rows)
             self.activity = self.activity.rows(rows)
@@ -136,7 +135,7 @@ class Upkeep:
         if found.share < LEAST_CONCAVITY:
             return False
         field = DepthField(found.points, found.depths)
-        hollow = hollowed(surface if scene.closed is None else scene.moved(scene.closed), field)
+        hollow = hollowed(surface if scene.closed is None else scene.moved(scene.closed), field, spacing)
         if hollow is None or refit(scene.model, self.adam, field, hollow, spacing, p.max_splats, p.seed) is None:
             return False
         scene.hull, scene.closed = hollow, None

@@ -23,6 +23,7 @@ def on_ball(surface) -> tuple[np.ndarray, np.ndarray]:
     return at[:, ::-1], surface.position
 
 
+@pytest.mark.slow
 def test_the_texture_holds_what_the_views_show(baked, truth):
     at, position = on_ball(baked)
     rows, columns = at.T
@@ -109,6 +110,7 @@ def test_a_corner_sees_less_sky_than_a_plain():
     assert seen[1] > 0.8
 
 
+@pytest.mark.slow
 def test_a_photograph_tells_the_texture_that_the_model_blurs(ball_views):
     view = ball_views[0]
     shown = view.weight > 0

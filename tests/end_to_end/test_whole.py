@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import os
 import re
 import shutil
+import subprocess
 import sys
 from pathlib import Path
 
@@ -14,7 +16,7 @@ import pytest
 
 from pipeline.formats.images import channel_names, read_exr
 
-from .conftest import QUICK, polarfield
+from .conftest import QUICK, ROOT, polarfield
 
 pytestmark = pytest.mark.slow
 STOKES = {f"S{k}.{c}" for k in range(3) for c in "RGB"}
@@ -51,6 +53,18 @@ def test_views_leave_every_promised_file(views_dataset):
     assert set(channel_names(root / "relight/current/studio/003.exr")) == STOKES
     assert finite(root / "relight/current/studio/003.exr")
     assert (root / "mesh/current/mesh.ply").stat().st_size > 10_000
+
+
+def test_the_notebook_reads_the_dataset(views_dataset):
+    """Its cells, run as a script; those that draw where there is something to draw with."""
+    notebook = json.loads((ROOT / "docs" / "reading.ipynb").read_text())
+    cells = ["".join(cell["source"]) for cell in notebook["cells"] if cell["cell_type"] == "code"]
+    draws = importlib.util.find_spec("matplotlib") is not None
+    script = "\n".join(cell for cell in cells if draws or "matplotlib" not in cell)
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "POLARFIELD_DATASET": str(views_dataset), "MPLBACKEND": "agg"}
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, env=environment)
+    assert done.returncode == 0, done.stderr
+    assert "mean DoLP on the object" in done.stdout and "Gaussians" in done.stdout
 
 
 def test_figures_are_sound_even_after_a_very_short_training(views_dataset):

@@ -119,7 +119,7 @@ def command(stages, tmp_path, monkeypatch, capsys) -> Callable[..., Outcome]:
         )
         step = next(s for s in steps if s.stage.name == name)
         allowed = allowance(step, call.capture, call.options.jobs, call.options.memory)
-        make_version(call.dataset, call.capture, step, call.capture.environments, "cpu", allowed, call.progress)
+        make_version(call.dataset, call.capture, step, call.capture.environments, "cpu", allowed, call.progress, steps)
         return 0
 
     monkeypatch.setattr(cli, "load_stages", lambda modules: house)
@@ -127,6 +127,7 @@ def command(stages, tmp_path, monkeypatch, capsys) -> Callable[..., Outcome]:
     monkeypatch.setattr(places, "open_capture", open_capture)
     monkeypatch.setattr("pipeline.engine.settings.image_size", lambda path: (2, 1))
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
 
     def call(*arguments: object) -> Outcome:
         ran.clear()

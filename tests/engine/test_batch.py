@@ -86,6 +86,7 @@ def test_every_capture_gets_its_dataset_and_a_second_call_makes_nothing(batch):
     assert not any(c["stages"]["count"]["made"] for c in table().values())
 
 
+@pytest.mark.slow
 def test_a_batch_leaves_the_bytes_and_the_description_of_one_run_after_the_other(batch, command):
     batch("--jobs", "2")
     command("all", "captures/c2", "--dataset", "alone")
@@ -97,6 +98,7 @@ def test_a_batch_leaves_the_bytes_and_the_description_of_one_run_after_the_other
     assert command("all", "--dataset", "out/c2").ran == []
 
 
+@pytest.mark.slow
 def test_one_that_fails_and_one_that_is_none_stop_no_other_and_are_told_of(batch, tmp_path):
     (tmp_path / "captures" / "c2" / "number.txt").write_text("no number")
     (tmp_path / "captures" / "c4").mkdir()
@@ -112,6 +114,7 @@ def test_one_that_fails_and_one_that_is_none_stop_no_other_and_are_told_of(batch
     assert table()["c2"]["state"] == "done"
 
 
+@pytest.mark.slow
 def test_a_stage_that_a_signal_ended_is_tried_again_but_not_for_ever(batch, tmp_path):
     stages = cli.load_stages({})
     whole = stages["double"]
@@ -129,6 +132,7 @@ def test_a_stage_that_a_signal_ended_is_tried_again_but_not_for_ever(batch, tmp_
     assert "ended by SIGKILL" in table()["c3"]["line"] and len((tmp_path / "tries-c3").read_text()) == side_by_side.TRIES
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("jobs", "budget", "most"), [(3, "1000M", 3), (2, "1000M", 2), (3, "250M", 2), (3, "50M", 1)])
 def test_stages_side_by_side_stay_within_jobs_and_memory(batch, monkeypatch, jobs, budget, most):
     stages = cli.load_stages({})
@@ -154,6 +158,7 @@ def test_an_amount_of_memory_is_read_as_people_write_it():
         memory.parsed_mb("much")
 
 
+@pytest.mark.slow
 def test_an_interrupt_ends_the_stages_at_work_and_still_writes_the_table(batch, tmp_path):
     stages = cli.load_stages({})
     whole = stages["double"]

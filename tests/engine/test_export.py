@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from types import SimpleNamespace
 from typing import cast
 
@@ -13,13 +14,45 @@ from pipeline.asset.asset import FORMATS as ASSET_FORMATS
 from pipeline.engine.dataset import Dataset
 from pipeline.errors import UserError
 from pipeline.formats.colmap import read_model
-from pipeline.formats.images import image_size, read_image, srgb_decode, write_exr, write_mask
-from pipeline.geometry.cameras import Camera, camera_from_opengl, load_cameras, save_cameras
+from pipeline.formats.images import channel_names, image_size, read_image, srgb_decode, write_exr, write_mask
+from pipeline.formats.ply import Ply, write_ply
+from pipeline.geometry.cameras import Camera, camera_from_opengl, frame_of, load_cameras, save_cameras
+from pipeline.splats.cloud import SplatCloud
+from pipeline.splats.splat_ply import read_splat_ply, write_splat_ply
 from stages import FORMATS
 from stages.exporting import export
 from synth.orbit import fibonacci_sphere, look_at
 
 VIEWS = ("a", "b c")
+
+
+def write_splats(train) -> None:
+    """Three Gaussians, z up, as the train stage leaves them: with material, and lit."""
+    rng = np.random.default_rng(0)
+    q = np.array([[1.0, 0, 0, 0], [0.6, 0.8, 0, 0], [0.6, 0, 0.8, 0]])
+    cloud = SplatCloud(rng.normal(size=(3, 3)), q, rng.uniform(-4, -2, (3, 3)), np.ones(3), rng.normal(0, 0.1, (3, 16, 3)))
+    write_splat_ply(train / "splats_lit.ply", cloud)
+    columns = {n: np.full(3, 0.5) for n in ("albedo_r", "albedo_g", "albedo_b", "roughness", "ior", "nx", "ny")}
+    write_ply(train / "gaussians.ply", {**dict(zip("xyz", cloud.means.T)), **columns, "nz": np.ones(3)})
+    (train / "lighting.json").write_text(json.dumps({"up": "z"}))
+
+
+def write_maps(root) -> None:
+    """One light-stage camera, looking along world x, whose whole surface faces it."""
+    pose = np.eye(4)
+    pose[:3, :3] = [[0, -1, 0], [0, 0, -1], [1, 0, 0]]
+    entry = {"camera": frame_of(Camera(3, 2, 9.0, 9.0, 1.5, 1.0, pose))}
+    (root / "decode/olat.json").write_text(json.dumps({"cameras": {"cam00": entry}}))
+    (root / "olat" / "cam00").mkdir(parents=True)
+    (root / "olat/maps.json").write_text(json.dumps({"lobe": "ggx"}))
+    ones = np.ones((2, 3), np.float32)
+    for name in ("normal", "diffuse_normal", "specular_normal", "tangent"):
+        write_exr(root / f"olat/cam00/{name}.exr", {"X": -ones, "Y": 0 * ones, "Z": 0 * ones})
+    for name in ("specular_albedo", "roughness", "anisotropy", "occlusion_d", "occlusion_s"):
+        write_exr(root / f"olat/cam00/{name}.exr", {"Y": 0.25 * ones})
+    write_exr(root / "olat/cam00/diffuse_albedo.exr", {c: 0.5 * ones for c in "RGB"})
+    write_exr(root / "olat/cam00/sigma.exr", {"X": 0.5 * ones, "Y": 0.25 * ones})
+    write_exr(root / "olat/cam00/residual.exr", {"Y": 0 * ones, "flag": 4 * ones})
 
 
 @pytest.fixture
@@ -44,7 +77,9 @@ def dataset(tmp_path) -> Dataset:
         write_mask(root / "masks" / f"{view}.png", np.ones((4, 6), bool))
     for name in {n for names in ASSET_FORMATS.values() for n in names} - {"textures"} | {"asset.json", "textures/albedo.png"}:
         (root / "mesh/asset" / name).write_bytes(name.encode())
-    (root / "train/gaussians.ply").write_bytes(b"ply")
+    (root / "mesh/asset/asset.json").write_text("{}")
+    write_splats(root / "train")
+    write_maps(root)
     made = SimpleNamespace(
         root=root, current=lambda name: SimpleNamespace(folder=root / name) if (root / name).is_dir() else None
     )
@@ -99,7 +134,54 @@ def test_nothing_is_overwritten_and_nothing_half_written(dataset, tmp_path):
 
 
 def test_what_was_not_made_is_named(dataset, tmp_path):
-    (dataset.root / "train/gaussians.ply").unlink()
-    (dataset.root / "train").rmdir()
+    shutil.rmtree(dataset.root / "train")
     with pytest.raises(UserError, match="no results of the train stage"):
         export(dataset, "splat", str(tmp_path / "s"))
+
+
+def test_exported_splats_are_upright_and_in_metres(dataset, tmp_path):
+    before = read_splat_ply(dataset.root / "train/splats_lit.ply")
+    (dataset.root / "mesh/asset/asset.json").write_text(json.dumps({"unit_m": 0.01}))
+    out = export(dataset, "splat", str(tmp_path / "s"))
+    assert {p.name for p in out.iterdir()} == {"splat.ply", "splats_lit.ply", "splats_lit.spz", "splats_lit.glb"}
+    after = read_splat_ply(out / "splats_lit.ply")
+    x, y, z = 0.01 * before.means.T  # z up: y of a PLY points down, so up is -y
+    assert np.allclose(after.means, np.stack([x, -z, y], -1), atol=1e-6)
+    camera = np.array([2.0, -3.0, 1.0])
+    assert np.allclose(after.colours(0.01 * camera[[0, 2, 1]] * [1, -1, 1]), before.colours(camera), atol=1e-5)
+    assert np.array_equal(Ply(out / "splat.ply").vertices(), Ply(dataset.root / "train/gaussians.ply").vertices())
+
+
+def test_exported_maps_are_in_the_cameras_frame_with_alpha(dataset, tmp_path):
+    out = export(dataset, "maps", str(tmp_path / "m")) / "cam00"
+    for bits in ("", "_8"):
+        normal = read_image(out / f"normal{bits}.png")
+        assert normal.shape == (2, 3, 4) and np.allclose(normal, [0.5, 0.5, 1, 1], atol=0.005)
+    assert np.allclose(srgb_decode(read_image(out / "diffuse_albedo.png")[..., :3]), 0.5, atol=1e-3)
+    assert np.allclose(read_image(out / "sigma.png")[0, 0], [0.5, 0.25, 0, 1], atol=1e-3)
+    assert np.allclose(read_image(out / "flag.png") * 255, 4)
+    layers = set(channel_names(out / "maps.exr"))
+    assert {"R", "A", "normal.B", "sigma.R", "sigma.G", "roughness.Y", "flag.Y"} <= layers
+    assert np.allclose(read_image(out / "maps.exr", ["tangent.B"]), 1)
+
+
+def test_nerfstudios_parser_finds_all_that_it_asserts(dataset):
+    """What its own parser (nerfstudio_dataparser.py) asks of a file, in its order."""
+    from PIL import Image
+
+    for path in (export(dataset, "nerfstudio", "") / "transforms.json", dataset.root / "poses/cameras.json"):
+        meta = json.loads(path.read_text())
+        assert meta["camera_model"] in ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE")
+        fixed = {key for key in ("fl_x", "fl_y", "cx", "cy", "h", "w") if key in meta}
+        masks = 0
+        for frame in meta["frames"]:
+            assert {"fl_x", "fl_y", "cx", "cy", "h", "w"} <= fixed | set(frame)
+            assert np.array(frame["transform_matrix"]).astype(np.float32).shape == (4, 4)
+            assert isinstance(frame.get("k1", 0.0), float)
+            picture = path.parent / frame["file_path"]
+            assert picture.is_file()
+            masks += (path.parent / frame["mask_path"]).is_file() if "mask_path" in frame else 0
+            if picture.suffix == ".png":  # Pillow, which nerfstudio reads pictures with, knows no EXR
+                with Image.open(picture) as opened:
+                    assert opened.size == (frame["w"], frame["h"])
+        assert masks in (0, len(meta["frames"]))

@@ -36,6 +36,7 @@ def flip(path: Path, at: int, bit: int) -> None:
     os.utime(path, ns=(stat.st_atime_ns, stat.st_mtime_ns))
 
 
+@pytest.mark.slow
 def test_a_bit_flipped_in_any_file_is_named_and_repaired_and_no_other_stage_is_made_again(command, capture):
     command("all", capture.root, "--dataset", "d")
     assert command("verify", "--dataset", "d").status == 0
@@ -50,6 +51,7 @@ def test_a_bit_flipped_in_any_file_is_named_and_repaired_and_no_other_stage_is_m
         assert digests() == whole and command("verify", "--dataset", "d", "--full").status == 0, path
 
 
+@pytest.mark.slow
 def test_bits_anywhere_in_the_small_files_count(command, capture):
     command("all", capture.root, "--dataset", "d")
     for path in (Path("d/in_use.json"), Path("d/dataset.json"), Path("d/.work/digests.json")):

@@ -15,7 +15,7 @@ from pipeline.engine.plan import load_stages
 from stages import STAGES
 
 ROOT = Path(__file__).parents[2]
-PACKAGES = ("pipeline", "stages", "synth", "tests", "benchmarks")
+PACKAGES = ("pipeline", "polarfield", "stages", "synth", "tests", "benchmarks")
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), *ROOT.glob("stages/**/README.md")])
 SOURCES = [p for package in PACKAGES for p in sorted((ROOT / package).rglob("*.py"))]
 PLACES = {str(p.relative_to(ROOT)) for package in PACKAGES for p in (ROOT / package).rglob("*") if "__pycache__" not in p.parts}
@@ -64,6 +64,7 @@ def defined(path: Path) -> frozenset[str]:
 
 def is_there(path: str, document: Path) -> bool:
     """Whether a path stands for something of the project: from the root, or the end of one; `*` for anything within a name."""
+    path = path.removesuffix("/__pycache__")  # made by the first import, or elsewhere
     pattern = re.compile(rf"(?:.*/)?{re.escape(path.rstrip('/.')).replace(re.escape('*'), '[^/]*')}")
     return (ROOT / path).exists() or (document.parent / path).exists() or any(pattern.fullmatch(p) for p in PLACES)
 

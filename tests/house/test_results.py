@@ -12,9 +12,17 @@ from typing import Any
 import pytest
 
 from pipeline.engine.stage import parameters_from
+from pipeline.shading import prefilter, splitsum
+from stages.calib.decode.parameters import DecodeParameters
+from stages.calib.poses.parameters import PosesParameters
+from stages.masks.parameters import MasksParameters
+from stages.mesh.parameters import MeshParameters
+from stages.olat.parameters import OlatParameters
 from stages.relight.mesh_shadows import TRANSFER_TEXELS
 from stages.relight.parameters import RelightParameters
 from stages.train.parameters import TrainParameters
+from stages.train.render_view import LAYER, SCREEN_FILTER
+from stages.train.splats.splat_occlusion import DIFFUSE_RAYS
 from stages.train.stage import STAGE
 
 ROOT = Path(__file__).parents[2]
@@ -58,6 +66,44 @@ def test_stored_rows_of_the_ablation_say_which_defaults_have_changed_since(captu
     now = asdict(parameters_from(STAGE, given, "ablation.json"))
     since = changed(kept["parameters"], now)
     assert ABLATION.get("defaults_since", {}).get(row, {}) == since, "run `make bench-ablation`, or say what has changed"
+
+
+def test_stored_approximations_were_measured_with_today_s_defaults_and_mark_them():
+    cases = stored("approximations").get("cases", {})
+    train = TrainParameters()
+    nodes = [splitsum.ROUGHNESS_NODES, splitsum.COSINE_NODES, splitsum.IOR_NODES]
+    now = {
+        "fresnel": train.fresnel, "split_sum_nodes": nodes, "environment_resolution": train.environment_resolution,
+        "diffuse_resolution": prefilter.DIFFUSE_RESOLUTION, "occlusion_rays": DIFFUSE_RAYS, "lobe": train.lobe,
+    }  # fmt: skip
+    stale = [name for name, case in cases.items() if case["defaults"] != now]
+    assert not stale, "run `make bench-approximations`"
+    groups = {name.partition(",")[0] for name in cases}
+    assert groups == {name.partition(",")[0] for name, case in cases.items() if case["default"]}, "a default was not measured"
+
+
+def test_stored_meshes_were_made_with_today_s_defaults_and_mark_them():
+    cases, mesh = stored("mesh").get("cases", {}), MeshParameters()
+    now = {"voxel_px": mesh.voxel_px, "poisson_depth": mesh.poisson_depth}
+    assert not [name for name, case in cases.items() if case["defaults"] != now], "run `make bench-mesh`"
+    assert {f"voxel of {mesh.voxel_px} px", f"depth {mesh.poisson_depth}"} == {
+        name.rpartition(", ")[2] for name, case in cases.items() if case["default"]
+    }
+
+
+@pytest.mark.parametrize(
+    ("name", "now"),
+    [
+        ("decode", DecodeParameters()), ("masks", MasksParameters()), ("poses", PosesParameters()), ("olat", OlatParameters()),
+        ("rasterize", {"screen_filter": SCREEN_FILTER, "layer": LAYER}),
+    ],
+)  # fmt: skip
+def test_what_a_stored_result_says_it_was_made_with_is_today_s(name, now):
+    """Results from before that was kept say so on their page."""
+    found = stored(name)
+    made = [row.get("made") for row in found] if isinstance(found, list) else [found.get("made")]
+    table = json.loads(json.dumps(now if isinstance(now, dict) else asdict(now)))
+    assert all(m["defaults"] == table for m in made if m), f"run `make bench-{name}`"
 
 
 def test_stored_errors_of_light_were_measured_with_what_relighting_does_today():

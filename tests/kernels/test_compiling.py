@@ -74,6 +74,7 @@ def test_options_reach_numba_as_they_are() -> None:
     assert plain.targetoptions == always
 
 
+@pytest.mark.slow
 def test_a_kernel_that_makes_no_arrays_goes_without_numbas_runtime(monkeypatch) -> None:
     """`_nrt` is numba's own name for it: this fails when it is no longer heeded, and with the runtime come the counts."""
     monkeypatch.setattr(storage, "place", lambda: None)

@@ -45,6 +45,7 @@ def test_kept_code_is_used_and_damaged_code_is_compiled_again(tmp_path, monkeypa
     assert len(compiled) == 2
 
 
+@pytest.mark.slow
 def test_a_kernel_with_arrays_of_its_own_is_refused():
     with pytest.raises(TypeError, match="needs numba"):
         native.machine_code(_copies, (types.int64, types.CPointer(types.float64)))

@@ -13,6 +13,7 @@ def iou(a, b):
     return (a & b).sum() / (a | b).sum()
 
 
+@pytest.mark.slow
 def test_object_before_a_busy_background_is_found_from_all_views(views):
     from stages.masks.background import segment
 

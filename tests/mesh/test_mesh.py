@@ -160,6 +160,7 @@ def run_stage(sphere_views, tmp_path):
     return go
 
 
+@pytest.mark.slow
 def test_stage_writes_tsdf_and_poisson_meshes(sphere_views, run_stage):
     run = run_stage(sphere_views(1.0), poisson=True, poisson_depth=5)
     assert (run.output / "mesh.ply").exists()

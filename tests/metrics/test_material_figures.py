@@ -6,7 +6,9 @@ import pytest
 from pipeline.errors import UserError
 from pipeline.formats.gbuffer import SurfaceImage
 from pipeline.formats.images import write_exr
+from stages.metrics import lpips_distance
 from stages.metrics.material_figures import CHANNELS, holes_pct, material_figures
+from stages.metrics.part_figures import part_figures
 
 SIZE = 20
 
@@ -57,3 +59,27 @@ def test_holes_are_the_share_of_covered_pixels_that_let_most_light_through():
     alpha, inside = np.ones((SIZE, SIZE), np.float32), np.zeros((SIZE, SIZE), bool)
     inside[:10], alpha[:2], alpha[15:] = True, 0.4, 0.0
     assert holes_pct(alpha, inside) == pytest.approx(20.0)
+
+
+def test_parts_are_compared_as_they_are_shown_where_the_truth_holds_them(tmp_path):
+    from skimage.metrics import peak_signal_noise_ratio
+
+    from pipeline.formats.images import srgb_encode
+
+    rng = np.random.default_rng(3)
+    model, true = (rng.random((SIZE, SIZE, 3)).astype(np.float32) for _ in range(2))
+    channels = {f"{part}.{c}": model[..., k] for part in ("diffuse", "specular") for k, c in enumerate("RGB")}
+    write_exr(tmp_path / "a.exr", {f"diffuse.{c}": true[..., k] for k, c in enumerate("RGB")})
+    inside = np.zeros((SIZE, SIZE), bool)
+    inside[4:12] = True
+    found = part_figures(tmp_path / "a.exr", channels, inside)
+    theirs = peak_signal_noise_ratio(srgb_encode(true[4:12]), srgb_encode(model[4:12]), data_range=1.0)
+    assert found == pytest.approx({"psnr_diffuse": theirs}, abs=1e-4)
+    assert part_figures(tmp_path / "a.exr", channels, inside[:-1]) == {}
+
+
+def test_without_its_weights_lpips_is_left_out_and_says_why(monkeypatch, tmp_path):
+    monkeypatch.setenv("TORCH_HOME", str(tmp_path))
+    assert lpips_distance.lpips(np.zeros((40, 40, 3)), np.ones((40, 40, 3))) is None
+    monkeypatch.setattr(lpips_distance.importlib.util, "find_spec", lambda name: True)
+    assert str(tmp_path) in lpips_distance.missing() and lpips_distance.WEIGHTS in lpips_distance.missing()

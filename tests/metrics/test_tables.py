@@ -126,6 +126,7 @@ def test_light_stage_normals_and_albedo_against_their_maps(tmp_path):
     write_exr(folder / "specular_albedo.exr", {"Y": 0.4 * mask})
     write_exr(folder / "sigma.exr", {"X": 0.33 * mask, "Y": 0.3 * mask})
     write_exr(folder / "residual.exr", {"Y": 0.02 * mask, "flag": 0 * mask})
+    write_exr(folder / "occlusion_d.exr", {"Y": 0.7 * mask})
     truth = tmp_path / "capture" / "cam00" / "gt"
     truth.mkdir(parents=True)
     np.savez(truth / "maps.npz", normal=normal, mask=mask, albedo=albedo, dp_du=np.roll(normal, 1, -1))
@@ -137,6 +138,16 @@ def test_light_stage_normals_and_albedo_against_their_maps(tmp_path):
     assert camera["albedo_rel_median"] == pytest.approx(0.1, abs=1e-5)
     assert camera["sigma_rel_error"] == pytest.approx([0.1, 0.0], abs=1e-5)
     assert out["views"][0]["normal_median_deg"] == pytest.approx(0, abs=1e-4)
+    assert camera["sigma_map_rel_median"] == pytest.approx([0.1, 0.0], abs=1e-5)
+    assert camera["specular_albedo_rel_median"] is None and camera["occlusion_error"] is None
+    assert "gt_brdf.json" in camera["why"]["specular_albedo_rel_median"]
+    widths = np.stack([0.33 * mask, 0.5 * mask], -1)  # along u and v: the larger is v
+    own = {"specular_albedo": 0.5 * mask, "sigma": widths, "occlusion": 0.9 * mask}
+    np.savez(truth / "maps.npz", normal=normal, mask=mask, albedo=albedo, **own)
+    told = olat_table(tmp_path / "olat", Truth(tmp_path / "capture", ())).as_json()["cam00"]
+    assert told["specular_albedo_rel_median"] == pytest.approx(0.2, abs=1e-5)
+    assert told["sigma_map_rel_median"] == pytest.approx([0.17 / 0.5, 0.03 / 0.33], abs=1e-5)
+    assert told["occlusion_error"] == pytest.approx(0.2, abs=1e-6)
     (truth / "maps.npz").unlink()
     blind = olat_table(tmp_path / "olat", Truth(tmp_path / "capture", ())).as_json()["cam00"]
     assert blind["normal"] is None and "maps.npz" in blind["why"]["normal"]

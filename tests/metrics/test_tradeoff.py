@@ -1,5 +1,7 @@
 """Error against run time: what is tried, what beats what, and what is predicted of several changes together."""
 
+import json
+
 import pytest
 
 from stages.metrics.comparison.results import Result
@@ -7,6 +9,7 @@ from stages.metrics.tradeoff.choose import best_within, finest, pareto, predicte
 from stages.metrics.tradeoff.knobs import trials
 from stages.metrics.tradeoff.measure import Measured, errors, measured
 from stages.metrics.tradeoff.page import scatter
+from stages.metrics.tradeoff.run import FAST, FINE, Tradeoff, run_tradeoff
 
 BASE = Measured({}, {"decode": 2.0, "train": 80.0, "mesh": 18.0}, 1.0)
 SHORT = Measured({"train.iterations": 500}, {"decode": 2.0, "train": 30.0, "mesh": 18.0}, 1.3)
@@ -35,9 +38,17 @@ def test_steps_are_whole_and_relative_to_the_run_s_own():
 
 def test_errors_of_decibels_fall_as_they_rise_and_only_shared_figures_count():
     base = errors({"train": {"psnr_srgb": 30.0, "normal_mae_deg": 4.0}})
-    run = measured(Result("a", {"train": {"psnr_srgb": 36.0}}, {"train": {"wall_s": 3.0}}), {}, base)
+    run = measured(Result("a", {"train": {"psnr_srgb": 36.0}}, {"train": {"wall_s": 3.0}}), {}, base, {})
     assert run.error == pytest.approx(10 ** (-6 / 20))
     assert run.total == 3.0
+
+
+def test_a_run_on_a_busy_machine_counts_as_long_as_it_would_have_taken_beside_the_user_s_own():
+    taken = {"train": {"wall_s": 100.0, "cpu_s": 110.0, "compile_s": 0.0}}
+    base = measured(Result("a", {}, taken), {}, {}, {})
+    busy = {"train": {"wall_s": 400.0, "cpu_s": 75.0, "compile_s": 80.0}}
+    run = measured(Result("b", {}, busy), {}, {}, base.pace)
+    assert base.total == pytest.approx(100) and run.total == pytest.approx((75 - 80 * 75 / 400) * 100 / 110)
 
 
 def test_the_pareto_curve_leaves_out_what_another_run_beats():
@@ -64,3 +75,50 @@ def test_the_finest_takes_only_what_lowers_the_error():
 def test_the_plot_has_a_point_for_every_run_with_its_parameters():
     svg = scatter([BASE, *SINGLES], pareto([BASE, *SINGLES]), lambda changed: " ".join(changed))
     assert svg.count("<circle") == 5 and "train.mirror: " in svg
+
+
+def made_up(changed):
+    """A run whose time and errors follow its steps, splats and voxels."""
+    steps, splats = changed.get("train.iterations", 1500), changed.get("train.max_splats", 34000)
+    voxel, split = changed.get("mesh.voxel_px", 1.2), changed.get("train.mirror") == "split"
+    train = 10 + 0.06 * steps * (splats / 34000) ** 0.6 * (0.6 if split else 1.0)
+    taken = {"decode": 2.0, "train": train, "mesh": 12 * (1.2 / voxel) ** 2}
+    parameters = {
+        "train": {"iterations": steps, "max_splats": splats, "mirror": "lobe-12", "indirect": "traced"},
+        "mesh": {"voxel_px": voxel},
+    }
+    facts = {"train": {"indirect": {"run": False, "reason": "the object hides nothing"}}}
+    manifests = {
+        stage: {"wall_s": s, "cpu_s": s, "parameters": parameters.get(stage, {}), "facts": facts.get(stage, {})}
+        for stage, s in taken.items()
+    }
+    rough = 2.0 * (1500 / steps) ** 0.3 * (34000 / splats) ** 0.1 * (1.05 if split else 1.0)
+    metrics = {"train": {"normal_mae_deg": rough}, "mesh": {"chamfer_pct": 0.3 * (voxel / 1.2) ** 0.2}}
+    return Result("views", metrics, manifests), sum(taken.values())
+
+
+def test_a_multi_view_capture_gets_both_lines_within_ten_times_its_own_time(tmp_path, monkeypatch, capsys):
+    tried = []
+
+    def make(self, changed):
+        result, seconds = made_up(changed)
+        tried.append(dict(changed))
+        self.spent += seconds
+        return result
+
+    monkeypatch.setattr(Tradeoff, "make", make)
+    page = run_tradeoff(tmp_path / "views", tmp_path / "datasets" / "views", "", "", lambda line: None)
+    table = json.loads(page.with_name("tradeoff.json").read_text())
+    own = sum(table["base"]["seconds"].values())
+    runs = {json.dumps(run["changed"], sort_keys=True): run for run in table["runs"]}
+    assert sum(sum(run["seconds"].values()) for run in table["runs"]) <= 10 * own
+    assert {"train.iterations", "train.max_splats", "mesh.voxel_px"} <= {name for changed in tried for name in changed}
+    assert not any("train.indirect" in changed for changed in tried)  # the run left that out
+    said = capsys.readouterr().out
+    for line in (FAST, FINE):
+        changed = table["lines"][line]
+        assert f'{line}: PARAMS="{changed}"' in said
+        words = dict(word.split("=") for word in changed.split())
+        run = next(r for r in runs.values() if {k: str(v) for k, v in r["changed"].items()} == words)
+        assert sum(run["seconds"].values()) <= 0.5 * own if line == FAST else run["error"] < 1
+    assert "<svg" in page.read_text()

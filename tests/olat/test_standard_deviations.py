@@ -13,6 +13,7 @@ from stages.olat.pixel_fit.fit_options import PASSES
 from stages.olat.pixel_fit.result_layout import FLAG, map_slices
 from synth.olat_pixels import Pixels, angle_deg, make
 
+pytestmark = pytest.mark.slow
 AT = map_slices()
 
 

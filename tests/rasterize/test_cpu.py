@@ -97,6 +97,7 @@ def test_extreme_and_broken_splats_leave_everything_finite_and_the_rest_alone(sc
         assert torch.equal(one[:n], other) and not one[n:].any()
 
 
+@pytest.mark.slow
 def test_a_pixel_mask_cuts_images_and_gradients_and_nothing_else(scene_named) -> None:
     scene = scene_named("plain")
     mask = torch.zeros(scene.height, scene.width, dtype=torch.bool)

@@ -108,6 +108,7 @@ def test_a_clump_of_hundreds_in_one_layer_is_the_same_in_float32() -> None:
     assert torch.allclose(fast.features.double(), exact.features, atol=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("layer", [0.0, 0.3])
 def test_gradients_are_finite_differences(scene_named, layer) -> None:
     scene = replace(scene_named("plain"), width=9, height=7)

@@ -59,6 +59,7 @@ def test_solid_angles_and_irradiance_are_those_of_closed_forms():
     assert seen.radiance * (seen.solid_angle * (seen.direction @ axis)).sum() == pytest.approx([2, 1, 3], rel=2e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", LIGHTS)
 def test_a_lamp_far_away_lights_as_its_map_does(kind):
     far = {

@@ -13,12 +13,14 @@ from pipeline.capture import Capture
 from pipeline.engine.progress import Progress
 from pipeline.engine.stage import StageRun
 from pipeline.errors import UserError
+from pipeline.formats.backdrop import grown
 from pipeline.formats.images import read_exr, read_image, read_stokes, write_exr, write_mask, write_rgb
 from pipeline.geometry.cameras import Camera, camera_from_opengl, save_cameras
 from pipeline.geometry.rays import RayMesh
 from pipeline.geometry.world import Y_UP_FROM
 from stages.relight.environment_map import read_map
-from stages.relight.outlines import blended, interior, silhouette, without_bright_rims
+from stages.relight.mesh_images import BakedMesh
+from stages.relight.outlines import Inner, blended, find_outlines, interior, silhouette, without_bright_rims
 from stages.relight.parameters import RelightParameters
 from stages.relight.stage import needed
 from stages.relight.stage import run as run_stage
@@ -132,7 +134,7 @@ def test_nothing_is_drawn_outside_the_mask(relit):
 
 @pytest.mark.slow
 def test_self_occlusion_darkens_the_bowl_and_brightens_nothing_by_much(relit):
-    free = read_stokes(relit().output / "sky" / "v1.exr")[:, :, 0]
+    free = read_stokes(relit(occlusion=True, indirect="none").output / "sky" / "v1.exr")[:, :, 0]
     run = relit(occlusion=True)
     shadowed = read_stokes(run.output / "sky" / "v1.exr")[:, :, 0]
     assert run.facts["indirect"]["run"] is True
@@ -254,3 +256,40 @@ def test_a_rim_is_no_brighter_than_what_it_lies_between_and_keeps_its_polarisati
     assert (got[3, 2] == stokes[3, 2]).all() and (got[~rim] == stokes[~rim]).all()
     alone = without_bright_rims(stokes, np.ones((5, 5), bool), np.ones((5, 5), bool))
     assert (alone == stokes).all()
+
+
+def _vase_in_view(tmp_path) -> tuple[BakedMesh, Camera]:
+    shape = vase(48, 36)
+    _write_mesh(tmp_path / "mesh", (shape.vertices, shape.faces, shape.normals))
+    pose = camera_from_opengl(look_at(np.array([0, 1, 5.0])))
+    return BakedMesh(tmp_path / "mesh/mesh.ply"), Camera(SIZE, SIZE, 80.0, 80.0, SIZE / 2, SIZE / 2, pose)
+
+
+def test_a_pixel_beside_the_meshs_silhouette_shows_the_silhouette(tmp_path):
+    mesh, camera = _vase_in_view(tmp_path)
+    hit = mesh.seen_at(camera, np.arange(SIZE * SIZE), 3).hit.reshape(SIZE, SIZE, 9)
+    beside = grown(hit.any(-1)) & ~hit.any(-1)
+    index = np.flatnonzero(beside | hit.any(-1))
+    found = find_outlines(mesh, camera, index, beside)
+    assert (np.sort(index[found.rows]) == np.flatnonzero(beside)).all() and found.met.all() and (found.coverage == 0).all()
+    surface = found.surface
+    assert np.median((surface.normal * surface.view).sum(1)) < 0.35  # it turns away there
+    means = found.replaced(np.zeros((len(index), 3, 3), np.float32), np.ones((len(surface.normal), 3, 3), np.float32))
+    assert (means.reshape(-1, 9).max(1) == 1).sum() == beside.sum()
+
+
+def test_the_mesh_stands_for_blends_within_the_object_where_it_lies_at_the_same_distance(tmp_path):
+    mesh, camera = _vase_in_view(tmp_path)
+    seen = mesh.seen_at(camera, np.arange(SIZE * SIZE), 3)
+    whole = interior(seen.hit.reshape(SIZE, SIZE, 9).all(-1))
+    whole = interior(whole)
+    distance = np.full((SIZE, SIZE, 9), np.nan)
+    distance.reshape(-1)[seen.hit] = np.linalg.norm(seen.surface.position - camera.centre, axis=1)
+    wanted = np.zeros_like(whole)
+    wanted.flat[np.flatnonzero(whole)[::7]] = True
+    steady = np.where(wanted | ~seen.hit.reshape(SIZE, SIZE, 9).all(-1), np.nan, distance.mean(-1))
+    index = np.flatnonzero(whole)
+    for off, share in ((0.0, 0.8), (0.5, 0.0)):  # a surface that the mesh has, and one half a unit behind it
+        inner = Inner(wanted, steady + off, 1 / 80)
+        found = find_outlines(mesh, camera, index, np.zeros_like(whole), inner)
+        assert len(found.rows) == wanted.sum() and share <= found.met.mean() <= max(share, 1.0 if share else 0.0)

@@ -19,7 +19,8 @@ from pipeline.rig.map_flags import FLAGS as OLAT_FLAGS
 from stages.metrics import report
 from stages.metrics.report import rig_pictures
 from stages.metrics.report.figures import headlines, tables, text_of
-from stages.metrics.report.page import cost_rows, offset_fact, training_curves
+from stages.metrics.report.first_screen import cost_lines, left_out_rows, still_gaining
+from stages.metrics.report.page import cost_rows, offset_fact, training_curves, training_log
 from stages.metrics.report.viewer import page as viewer_page
 from synth.orbit import look_at, orbit
 
@@ -32,7 +33,7 @@ def context(**changes):
         "environment": [], "relit": [], "olat": [], "lobe": {}, "curves": [],
         "costs": cost_rows({"train": {"wall_s": 71.0, "peak_rss_mb": 1200, "outputs": []}}),
         "tables": [], "warnings": [("decode", "<script>alert(1)</script>")], "parameters": {}, "packages": {},
-        "disagreement": [], "scene": None, "scene_text": "null",
+        "next": [], "spent": [], "left_out": left_out_rows({}), "disagreement": [], "scene": None, "scene_text": "null",
         "script": viewer_page.script(), "viewer_style": viewer_page.style(),
     }  # fmt: skip
     return {**base, **changes}
@@ -47,6 +48,34 @@ def test_report_links_to_nothing_and_escapes_text():
     assert "0.300" in page
     assert not re.findall(r"(?:src|href)=[\"']?(?:https?:)?//", page)
     assert "1 min 11 s" in page
+
+
+def test_what_was_left_out_stands_dearest_first_with_what_it_saved():
+    left = {
+        "olat": {"saved_s": 4.0, "saved_mb": 160.0, "reason": "no frames <of lights>"},
+        "train.concavities": {"saved_s": 90.0, "saved_mb": 0.0, "reason": "only full Stokes is evidence enough"},
+    }
+    page = render("report.html.jinja", context(left_out=left_out_rows(left)), REPORT)
+    assert page.index("train: concavities") < page.index("<b>olat</b>") and "about 1 min 30 s" in page
+    assert "about 4.0 s, 160 MB" in page and "1 min 34 s saved" in page and "&lt;of lights&gt;" in page
+
+
+def test_cost_is_told_beside_what_was_foretold_only_where_all_of_it_was():
+    made = {
+        "train": {"wall_s": 90.0, "cpu_s": 80.0, "expected_wall_s": 100.0, "expected_cpu_s": 110.0, "peak_rss_mb": 700.0},
+        "mesh": {"wall_s": 10.0, "cpu_s": 8.0},
+    }
+    assert cost_lines(made)[0] == "1 min 40 s in all, 1 min 28 s of the processor"
+    assert cost_lines(made)[1].startswith("train 1 min 30 s (90 %)")
+    made["mesh"] |= {"expected_wall_s": 20.0, "expected_cpu_s": 15.0}
+    assert cost_lines(made)[1] == "foretold: 2 min 00 s, 2 min 05 s of the processor"
+
+
+def test_training_counts_as_gaining_only_while_it_does():
+    rising = [{"psnr_validation": str(v)} for v in (30.0, 31.0, 31.5)]
+    assert still_gaining(rising) == pytest.approx(1.5)
+    assert still_gaining([*rising, *[{"psnr_validation": "31.52"}] * 2]) is None
+    assert still_gaining([{"psnr_validation": ""}] * 4) is None and still_gaining([]) is None
 
 
 def test_pictures_are_data_and_never_enlarged():
@@ -113,9 +142,9 @@ def test_training_log_becomes_charts(tmp_path):
     log.write_text(
         "iteration,wall_s,psnr_validation,rgb,splats\n100,1.0,20.5,0.1,500\n200,2.0,,0.05,900\n300,3.5,24,0.02,950\n"
     )
-    assert len(training_curves(log)) == 3
+    assert len(training_curves(training_log(log))) == 3
     log.write_text("iteration,wall_s\n")
-    assert training_curves(log) == []
+    assert training_curves(training_log(log)) == training_log(tmp_path / "none.csv") == []
 
 
 def test_units_follow_the_name():

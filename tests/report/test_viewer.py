@@ -13,16 +13,26 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pipeline.asset.atlas import texels_of, unwrap
+from pipeline.asset.bake import Textured
+from pipeline.asset.filling import nearest_texel, texture
+from pipeline.asset.glb import write_glb
+from pipeline.asset.surface import in_metres
+from pipeline.asset.tangents import in_tangent_frame, vertex_tangents
+from pipeline.asset.texture_files import write_textures
 from pipeline.formats.images import srgb_encode, write_exr
 from pipeline.formats.ply import write_ply
 from pipeline.geometry.cameras import Camera, camera_from_opengl
 from pipeline.optics.sphere import latlong_solid_angles
 from pipeline.report.render import render
 from pipeline.rig.lobe_names import LOBES
+from pipeline.splats.cloud import SplatCloud
+from pipeline.splats.splat_ply import write_splat_ply
 from stages.metrics import report
 from stages.metrics.report.viewer import packing, page, photographs, rig_scene
 from stages.metrics.report.viewer.light_data import light_entry, shrunk
 from stages.metrics.report.viewer.model_scene import scene_of
+from stages.metrics.report.viewer.splat_data import splat_entry
 from stages.metrics.report.viewer.surface_data import ATTRIBUTES, IOR_RANGE, surface_entry, thinned
 from synth.orbit import look_at
 
@@ -50,6 +60,32 @@ def baked(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     columns = dict(zip(("x", "y", "z", *ATTRIBUTES), np.concatenate([points, attributes], -1).T))
     write_ply(path, columns, faces)
     return points, attributes, faces
+
+
+def baked_in_an_atlas(folder: Path) -> None:
+    """The same sphere as an asset, of few triangles whose textures know the true normals and the material."""
+    points, faces = sphere(10, 20)
+    a, b, c = (points[faces[:, k]] for k in range(3))
+    faces = faces[np.linalg.norm(np.cross(b - a, c - a), axis=1) > 1e-9]  # those at the poles have no area, and so no texels
+    atlas = unwrap(points, faces, 0.03, 512)
+    position = points[atlas.source]
+    tangent = vertex_tangents(position, position, atlas)
+    texels = texels_of(atlas)
+    upright, along = (texels.of(v, atlas.faces) for v in (position, tangent))
+    upright /= np.linalg.norm(upright, axis=1, keepdims=True)
+    bent = upright + 0.1 * np.cross(upright, [0.0, 1.0, 0.0])  # the texture's own normals, which the vertices do not have
+    bent /= np.linalg.norm(bent, axis=1, keepdims=True)
+    column = {"albedo": 0.5 + 0.3 * upright, "normal": in_tangent_frame(bent, upright, along)}
+    column |= {"roughness": 0.45 + 0.15 * upright[:, :1], "ior": 1.5 + 0.1 * upright[:, 1:2]}
+    column |= {"specular": 0 * upright[:, :1] + 0.04, "occlusion": 0 * upright[:, :1] + 1, "coverage": 0 * upright[:, :1] + 1}
+    shape = (atlas.height, atlas.width)
+    nearest = nearest_texel(texels.index, shape)
+    maps = {name: texture(values, texels.index, nearest, shape) for name, values in column.items()}
+    asset = in_metres(Textured(position, position, tangent, atlas.faces, atlas.uv, maps, 0.03, 0.0), "y", 0.5)
+    folder.mkdir()
+    write_glb(folder / "asset.glb", asset)
+    write_textures(folder / "textures", asset.maps)
+    (folder / "asset.json").write_text(json.dumps({"unit_m": 0.5}))
 
 
 def sky() -> np.ndarray:
@@ -98,6 +134,35 @@ def test_the_surface_in_the_page_is_that_of_the_mesh(tmp_path):
     assert np.abs(material[:, 0] - attributes[:, 6]).max() < 0.003
     assert np.abs(IOR_RANGE[0] + material[:, 1] * (IOR_RANGE[1] - IOR_RANGE[0]) - attributes[:, 7]).max() < 0.005
     assert np.array_equal(packing.unpacked(entry["index"]), faces)
+
+
+def test_the_surface_in_an_atlas_is_that_of_the_asset_in_the_captures_units(tmp_path):
+    baked_in_an_atlas(tmp_path / "asset")
+    entry = surface_entry(tmp_path / "none.ply", np.eye(3), tmp_path / "asset")
+    low, high = np.array(entry["low"]), np.array(entry["high"])
+    position = low + packing.unpacked(entry["position"]) / 65535 * (high - low)
+    assert np.abs(np.linalg.norm(position, axis=1) - 1).max() < 1e-4 and entry["triangles"] == entry["of"] > 300
+    assert packing.unpacked(entry["uv"]).shape == (len(position), 2) and set(entry["pictures"]) == {"albedo", "surface"}
+    assert np.abs(packing.unpacked(entry["albedo"]) / 255 - srgb_encode(0.5 + 0.3 * position)).max() < 0.06
+    tangent = packing.unfolded(packing.unpacked(entry["tangent"])[:, :2])
+    assert np.abs((tangent * position).sum(1)).max() < 0.02
+    baked(tmp_path / "mesh.ply")
+    assert "uv" not in surface_entry(tmp_path / "mesh.ply", np.eye(3), tmp_path / "no asset")
+
+
+def test_hollows_see_less_of_the_sky_and_a_sphere_all_of_it(tmp_path):
+    points, attributes, faces = baked(tmp_path / "mesh.ply")
+    material = packing.unpacked(surface_entry(tmp_path / "mesh.ply", np.eye(3))["material"])
+    assert material[:, 2].min() >= 250
+    inside_out = attributes.copy()
+    inside_out[:, :3] *= -1
+    bowl = faces[(points[faces][:, :, 1] < 0).all(1)]
+    columns = dict(zip(("x", "y", "z", *ATTRIBUTES), np.concatenate([points, inside_out], -1).T))
+    write_ply(tmp_path / "bowl.ply", columns, bowl[:, ::-1])
+    seen = packing.unpacked(surface_entry(tmp_path / "bowl.ply", np.eye(3))["material"])[:, 2] / 255
+    rim = points[bowl][:, :, 1].max()  # a cone's share of the sky, weighted by the cosine; rays begin a little above the ground
+    share = (1 - rim**2) / (1 - rim**2 + (1 + rim) ** 2)
+    assert seen[points[:, 1] < -0.99].max() == pytest.approx(share, abs=0.07)
 
 
 def test_a_thinned_surface_keeps_shape_and_material(tmp_path):
@@ -222,15 +287,17 @@ def psnr(shown: np.ndarray, linear: np.ndarray, inside: np.ndarray) -> float:
     return float(-10 * np.log10((error[inside] ** 2).mean()))
 
 
-def shaded_sphere(camera: Camera, light: np.ndarray) -> np.ndarray:
-    """s0 [H, W, 3] of `baked`'s sphere under a map, by the pipeline's split sum."""
+def shaded_sphere(camera: Camera, light: np.ndarray, bend: float = 0.0) -> np.ndarray:
+    """s0 [H, W, 3] of `baked`'s sphere under a map, by the pipeline's split sum; bend: of `baked_in_an_atlas`'s normals."""
     import torch
 
     from pipeline.shading import Prefilter, latlong, shade
 
     n, inside = met(camera)
     albedo, roughness, ior = 0.5 + 0.3 * n, 0.45 + 0.15 * n[..., 0], 1.5 + 0.1 * n[..., 1]
-    given = [x[inside] for x in (n, -camera.rays(), albedo, roughness, ior, *camera.stokes_frame())]
+    bent = n + bend * np.cross(n, [0.0, 1.0, 0.0])
+    bent /= np.maximum(np.linalg.norm(bent, axis=-1, keepdims=True), 1e-9)
+    given = [x[inside] for x in (bent, -camera.rays(), albedo, roughness, ior, *camera.stokes_frame())]
     field = Prefilter(64).apply(torch.as_tensor(latlong.to_cube(light, 64), dtype=torch.float32))
     out = np.zeros((*inside.shape, 3))
     out[inside] = shade(*(torch.as_tensor(np.ascontiguousarray(x, np.float32)) for x in given), field).stokes[:, 0].numpy()
@@ -239,22 +306,77 @@ def shaded_sphere(camera: Camera, light: np.ndarray) -> np.ndarray:
 
 @pytest.mark.slow
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium to draw with")
-def test_the_viewer_draws_the_model_as_the_pipeline_shades_it(tmp_path):
+@pytest.mark.parametrize("textured", [False, True])
+def test_the_viewer_draws_the_model_as_the_pipeline_shades_it(tmp_path, textured):
     baked(tmp_path / "mesh.ply")
+    if textured:
+        baked_in_an_atlas(tmp_path / "asset")
     camera, light = camera_at([2.0, 1.2, 3.4]), sky()
     entry = {"name": "a", "test": False, "angle": None, "picture": "data:,", **photographs.pose_entry(camera, np.eye(3))}
-    surface, lights = surface_entry(tmp_path / "mesh.ply", np.eye(3)), [light_entry("sky", "sky", light)]
+    surface = surface_entry(tmp_path / "mesh.ply", np.eye(3), tmp_path / "asset")
+    lights = [light_entry("sky", "sky", light)]
     scene = scene_of(surface, lights, "ggx", np.eye(3), [entry], 1.0)
     draw = (
         f"v.canvas.width = v.canvas.height = {SIZE}; v.state.camera = 0; v.state.exposure = 0;"
         " v.model.draw({place: v.place(), state: v.state, light: v.light, photograph: null});"
     )
     shown = shown_in_browser(tmp_path, scene, draw)
-    image = shaded_sphere(camera, light)
+    image = shaded_sphere(camera, light, 0.1 * textured)
     inside = (shown[..., 3] == 255) & (image.min(-1) > 0)
     inside[1:-1, 1:-1] &= inside[:-2, 1:-1] & inside[2:, 1:-1] & inside[1:-1, :-2] & inside[1:-1, 2:]
     assert inside.sum() > 0.2 * SIZE**2
     assert psnr(shown, image, inside) > 34
+
+
+def ball_of_discs(path: Path) -> SplatCloud:
+    """Discs on the unit sphere whose colour changes over it and with the direction to the camera."""
+    k = np.arange(6000) + 0.5
+    y, angle = 1 - 2 * k / len(k), np.pi * (1 + np.sqrt(5)) * k
+    n = np.stack([np.sqrt(1 - y * y) * np.cos(angle), y, np.sqrt(1 - y * y) * np.sin(angle)], -1)
+    q = np.stack([1 + n[:, 2], -n[:, 1], n[:, 0], 0 * y], -1)
+    coefficients = np.zeros((len(k), 16, 3))
+    coefficients[:, 0] = 0.6 * n
+    coefficients[:, 1], coefficients[:, 8], coefficients[:, 14] = 0.2, [0.1, 0, 0.2], [0, 0.1, 0]
+    sigma = np.log(0.5 * np.sqrt(4 * np.pi / len(k)))
+    scales = np.stack([0 * y + sigma, 0 * y + sigma, 0 * y - 9], -1)
+    cloud = SplatCloud(n, q / np.linalg.norm(q, axis=1, keepdims=True), scales, 0 * y + 3.0, coefficients)
+    write_splat_ply(path, cloud)
+    return cloud
+
+
+def test_the_splats_in_the_page_are_those_of_the_file(tmp_path):
+    cloud = ball_of_discs(tmp_path / "lit.ply")
+    entry = splat_entry(tmp_path / "lit.ply", np.eye(3))
+    normal = packing.unfolded(packing.unpacked(entry["normal"]))
+    assert np.abs(normal - cloud.means).max() < 1e-3
+    colour = packing.unpacked(entry["colour"]).reshape(-1, 16, 3) / 127 * np.array(entry["range"])[:, None]
+    assert np.abs(colour - cloud.coefficients).max() < 0.005
+    assert np.abs(packing.unpacked(entry["sigma"]).view("<f2").astype(float) - np.exp(cloud.log_scales[:, 0])).max() < 1e-4
+    assert splat_entry(tmp_path / "none.ply", np.eye(3)) is None
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium to draw with")
+def test_the_viewer_blends_the_splats_in_their_colours(tmp_path):
+    baked(tmp_path / "mesh.ply")
+    cloud, camera = ball_of_discs(tmp_path / "lit.ply"), camera_at([2.0, 1.2, 3.4])
+    entry = {"name": "a", "test": False, "angle": None, "picture": "data:,", **photographs.pose_entry(camera, np.eye(3))}
+    surface, lights = surface_entry(tmp_path / "mesh.ply", np.eye(3)), [light_entry("even", "even", np.ones((8, 16, 3)))]
+    scene = scene_of(surface, lights, "ggx", np.eye(3), [entry], 1.0)
+    scene["splats"] = splat_entry(tmp_path / "lit.ply", np.eye(3))
+    draw = (
+        f"v.canvas.width = v.canvas.height = {SIZE}; v.state.camera = 0; v.state.shown = 'splats';"
+        " v.model.draw({place: v.place(), state: v.state, light: v.light, photograph: null});"
+    )
+    shown = shown_in_browser(tmp_path, scene, draw)
+    where, inside = met(camera)
+    colours = np.zeros((*inside.shape, 3))
+    nearest = (where[inside] @ cloud.means.T).argmax(1)
+    colours[inside] = np.clip(cloud.colours(camera.centre)[nearest], 0, 1)
+    facing = inside & ((where * -camera.rays()).sum(-1) > 0.3)
+    error = shown[..., :3] / 255 - colours
+    assert facing.sum() > 0.2 * SIZE**2
+    assert -10 * np.log10((error[facing] ** 2).mean()) > 30
 
 
 @pytest.mark.slow

@@ -5,7 +5,7 @@ import pytest
 
 from pipeline.formats.images import write_exr
 from pipeline.geometry.cameras import Camera
-from pipeline.rig.relighting import relight_maps, relight_olat, relighting_error
+from pipeline.rig.relighting import relight_frames, relight_maps, relighting_error
 from pipeline.rig.solid_angles import fibonacci_sphere
 
 ALBEDO = np.array([0.8, 0.5, 0.2])
@@ -62,7 +62,7 @@ def sky(kind: str) -> np.ndarray:
 @pytest.mark.parametrize("kind", ["constant", "gradient"])
 def test_the_frames_sum_and_the_maps_agree_on_a_lambert_ball(stage, kind):
     index, root, maps, camera, inside = stage
-    summed = relight_olat(index, root, "cam00", sky(kind), inside)
+    summed = relight_frames(index, root, "cam00", [sky(kind)], inside)[0]
     shaded = relight_maps(maps, camera, sky(kind))
     error = relighting_error(summed, shaded, inside)
     assert error.shape == inside.shape and np.all(error[~inside] == 0)
@@ -71,16 +71,17 @@ def test_the_frames_sum_and_the_maps_agree_on_a_lambert_ball(stage, kind):
 
 def test_under_a_constant_sky_a_lambert_ball_shows_its_albedo(stage):
     index, root, _, _, inside = stage
-    summed = relight_olat(index, root, "cam00", sky("constant"), inside)
+    summed = relight_frames(index, root, "cam00", [sky("constant")], inside)[0]
     assert np.allclose(summed[inside], ALBEDO, rtol=0.02)
     assert np.all(summed[~inside] == 0)
 
 
 def test_the_sum_is_linear_in_the_map_and_in_the_lights_irradiance(stage):
     index, root, _, _, inside = stage
-    one = relight_olat(index, root, "cam00", sky("gradient"), inside)
-    assert np.allclose(relight_olat(index, root, "cam00", 3 * sky("gradient"), inside), 3 * one, rtol=1e-5)
-    assert np.allclose(relight_olat(index, root, "cam00", sky("gradient"), inside, irradiance=2 * np.pi), one / 2, rtol=1e-5)
+    one = relight_frames(index, root, "cam00", [sky("gradient")], inside)[0]
+    assert np.allclose(relight_frames(index, root, "cam00", [3 * sky("gradient")], inside)[0], 3 * one, rtol=1e-5)
+    dimmer = relight_frames(index, root, "cam00", [sky("gradient")], inside, irradiance=2 * np.pi)[0]
+    assert np.allclose(dimmer, one / 2, rtol=1e-5)
 
 
 @pytest.mark.slow  # the renderer compiles for some seconds

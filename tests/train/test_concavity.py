@@ -124,7 +124,7 @@ def test_a_hollowed_ball_lacks_what_the_field_took_and_nothing_else():
     mesh = ball()
     samples = sphere_directions(4000).astype(float)
     cap = samples[:, 2] > 0.8
-    hollow = hollowed(mesh, DepthField(samples, np.where(cap, 0.2, 0.0)), 64)
+    hollow = hollowed(mesh, DepthField(samples, np.where(cap, 0.2, 0.0)), 0.09)
     assert hollow is not None
     radius = np.linalg.norm(hollow.vertices, axis=-1)
     direction = hollow.vertices / radius[:, None]
@@ -134,7 +134,7 @@ def test_a_hollowed_ball_lacks_what_the_field_took_and_nothing_else():
 
 def test_nothing_is_left_of_a_ball_taken_back_by_its_radius():
     samples = sphere_directions(500).astype(float)
-    assert hollowed(ball(1000), DepthField(samples, np.full(500, 1.2)), 32) is None
+    assert hollowed(ball(1000), DepthField(samples, np.full(500, 1.2)), 0.19) is None
 
 
 def test_splats_on_untouched_ground_survive_a_refit_bit_for_bit():
@@ -150,7 +150,7 @@ def test_splats_on_untouched_ground_survive_a_refit_bit_for_bit():
     moved = model["position"].detach().clone()
     samples = sphere_directions(4000).astype(float)
     field = DepthField(samples, np.where(samples[:, 2] > 0.8, 0.2, 0.0))
-    hollow = hollowed(mesh, field, 64)
+    hollow = hollowed(mesh, field, 0.09)
     assert hollow is not None
     new = refit(model, adam, field, hollow, spacing=0.09, most=1600, seed=0)
     assert new is not None

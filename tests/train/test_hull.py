@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pipeline.errors import UserError
-from pipeline.geometry.silhouette_hull import Silhouette
+from pipeline.geometry.silhouette_hull import Silhouette, occupancy, signed_distance
 from stages.train.initialise.hull import visual_hull
 from stages.train.initialise.sampling import mesh_area, sample_evenly
 
@@ -69,3 +69,14 @@ def test_samples_are_even_and_as_many_as_asked(make_sources):
     assert samples.spacing.std() < 0.2 * samples.spacing.mean()
     again = sample_evenly(mesh, 800, np.random.default_rng(0))
     assert np.array_equal(samples.points, again.points)
+
+
+def test_one_pass_over_the_points_tells_what_every_picture_says(make_sources):
+    """The kernel is the path that can overrule a picture, where each picture comes twice and one of a pair is overruled."""
+    sources = make_sources(32, 9)
+    silhouettes = [Silhouette(s.camera, s.mask) for s in sources]
+    distances = [signed_distance(s.mask) for s in sources]
+    points = np.random.default_rng(4).uniform(-3, 3, (3000, 3))  # some before no camera, some outside pictures
+    found = occupancy(silhouettes, distances, points)
+    wanted = occupancy(2 * silhouettes, 2 * distances, points, outvoted=1)
+    assert (found > 0).any() and np.allclose(found, wanted, atol=1e-5)

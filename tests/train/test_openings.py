@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 import torch
 
+from pipeline.formats.backdrop import grown
 from pipeline.geometry.cameras import Camera
 from pipeline.shading import Prefilter
 from stages.train import export
 from stages.train.parameters import TrainParameters
-from stages.train.render_view import mean_normals
+from stages.train.render_view import inner_coverage, mean_normals
 from stages.train.setup import prepare_training
 from stages.train.trainer import Trainer
 from stages.train.views.opening_pixels import has_openings, opening_pixels
@@ -106,7 +107,12 @@ def test_a_bowl_stays_open_and_shows_the_normals_of_its_inside():
         rendered = trainer.renderer.render_whole(view)
         channels = export.view_channels(rendered, view, start.frame)
         normals = mean_normals(trainer.scene.model.activated(), view, "cpu", True)
+        inner = inner_coverage(trainer.scene.model.activated(), view, "cpu")
     assert np.median(channels["alpha"][hole]) < 0.2
+    alpha = export.with_inner_sides(channels, inner)["alpha"]
+    covered = seen.mask > 0.5
+    assert (alpha[hole] > 0.5).mean() > 0.97 and (alpha[covered] > 0.5).mean() > 0.97
+    assert (alpha - channels["alpha"])[~grown(covered)].max() < 0.1  # no outline is any wider for it
     filled = export.with_normals(channels, normals, view, start.frame)
     normal = np.stack([filled[f"N.{c}"] for c in "XYZ"], -1)
     error = np.degrees(np.arccos(np.clip((normal * truths[seen.name]).sum(-1), -1, 1)))

@@ -78,6 +78,7 @@ def test_outliers_go_and_normals_face_outwards():
     assert outward.mean() > 0.97
 
 
+@pytest.mark.slow
 def test_a_hollow_that_no_silhouette_shows_is_cut_and_the_rest_stays():
     masks, points = ball_masks(), dimple_cloud(3500)
     hull = start_surface(masks, points, "hull", True, 56, 0.0)
@@ -90,6 +91,7 @@ def test_a_hollow_that_no_silhouette_shows_is_cut_and_the_rest_stays():
     assert np.linalg.norm(hull.mesh.vertices, axis=-1).min() > 0.8
 
 
+@pytest.mark.slow
 def test_a_part_that_points_would_cut_but_silhouettes_need_stays():
     masks, points = ball_masks(), dimple_cloud(3500)
     top = points[:, 1] > 0.7
@@ -110,6 +112,7 @@ def test_units_do_not_matter(scale):
     assert np.allclose(there.signed_distance(grid * scale + shift) / scale, here.signed_distance(grid), atol=1e-3)
 
 
+@pytest.mark.slow
 def test_without_masks_the_points_alone_are_the_object():
     begun = start_surface(ball_masks(whole=True), dimple_cloud(), "auto", False, 48, 0.0)
     assert begun.points and abs(begun.half - 1) < 0.05
@@ -138,6 +141,7 @@ def test_points_of_the_poses_stage_are_read(tmp_path):
     assert read_points(tmp_path / "none.ply").shape == (0, 3)
 
 
+@pytest.mark.slow
 def test_training_without_masks_starts_from_points_or_from_what_all_cameras_see(make_sources):
     sources = [replace(s, mask=np.ones_like(s.mask)) for s in moved(make_sources(40, 16), 10.0, np.eye(3), np.full(3, 5.0))]
     parameters = TrainParameters(max_splats=1200, hull_resolution=32, environment_resolution=8)

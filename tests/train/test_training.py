@@ -95,6 +95,34 @@ def test_the_environments_smoothness_has_the_same_gradient_every_time():
     assert len(seen) == 1
 
 
+def test_what_no_training_view_sees_stays_and_what_is_transparent_goes(make_sources):
+    trainer = trainer_of(make_sources(24, 9), replace(SMALL, max_splats=400))
+    model = trainer.scene.model
+    with torch.no_grad():
+        model["opacity"][:5] = -9.0
+    kept = model["anchor"][5:].clone()
+    trainer.scene.link_neighbours()
+    trainer.upkeep.densify(CYCLE // 2)  # no view has been drawn: nothing is known to show
+    assert torch.equal(trainer.scene.model["anchor"][: len(kept)], kept)
+
+
+def test_a_step_looks_at_as_many_pixels_for_each_splat_as_it_is_told(make_sources):
+    """A large image with few splats is thinned, evenly and otherwise at each step; not in the last phase, and not unasked."""
+    trainer = trainer_of(make_sources(48, 9), replace(SMALL, max_splats=300, pixels_per_splat=1.0))
+    view, phase = trainer.view_at(0, trainer.phase(0)), trainer.phase(0)
+    thin, _ = trainer.looked_at(view, phase)
+    assert len(thin.pixels) == len(trainer.scene.model) // 2 < len(view.pixels)
+    stretch = len(view.pixels) / len(thin.pixels)
+    places = torch.searchsorted(view.pixels, thin.pixels)
+    assert torch.equal(view.pixels[places], thin.pixels) and torch.equal(view.target[places], thin.target)
+    assert int(places.diff().max()) <= 2 * stretch + 1 and int(places.diff().min()) > 0
+    trainer.iteration = 1
+    assert not torch.equal(trainer.looked_at(view, phase)[0].pixels, thin.pixels)
+    assert trainer.looked_at(view, replace(phase, every_view=True))[0] is view
+    trainer.parameters = replace(trainer.parameters, pixels_per_splat=0.0)
+    assert trainer.looked_at(view, phase)[0] is view
+
+
 def test_a_broken_checkpoint_is_as_none_and_told(tmp_path):
     assert checkpoint.load(tmp_path) is None
     path = tmp_path / checkpoint.NAME

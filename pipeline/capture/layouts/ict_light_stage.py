@@ -119,10 +119,19 @@ def _mask(root: Path, folders: CameraFolders) -> Path | None:
 
 
 def read_camera(path: Path, width: int, height: int, name: str = "camera", distortion: bool = False) -> Camera:
-    """An LSX3 camera file: camera-to-world with OpenGL axes, intrinsics of the full frame.
+    """Read an LSX3 camera file: camera-to-world with OpenGL axes, intrinsics of the full frame.
 
-    A smaller image is that frame scaled by height, square pixels, centred. `distortion` applies the file's k1 k2 p1 p2.
-    Raises UserError when a block is missing or malformed.
+    Args:
+        path: the file.
+        width, height: of the images, pixels: the full frame scaled by height, square pixels, centred.
+        name: the camera's.
+        distortion: apply the file's k1 k2 p1 p2.
+
+    Returns:
+        The camera for images of that size.
+
+    Raises:
+        UserError: a block is missing or malformed, or the result can be no camera.
     """
     lines = path.read_text(errors="replace").splitlines()
 

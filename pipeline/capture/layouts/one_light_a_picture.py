@@ -58,7 +58,7 @@ def read(root: Path, config: CaptureConfig) -> Capture:
     path = camera_file(root, CAMERA)
     camera = read_camera(path, *size, name=CAMERA, distortion=config.olat.distortion) if path.is_file() else far_camera(*size)
     found = LightStageCamera(CAMERA, frames.frames, frames.frames, mask, camera, frames.full_light, "none")
-    told = [] if path.is_file() else ["no camera file: seen from far away, x to the right, y up, z towards the camera"]
+    placed = [] if path.is_file() else ["no camera file: seen from far away, x to the right, y up, z towards the camera"]
     environments = find_environments(root)
     files = [*tables, *frames.frames, *([mask] if mask else []), *([path] if path.is_file() else [])]
     files += [root / "capture.toml"] if config.path is not None else []
@@ -66,7 +66,7 @@ def read(root: Path, config: CaptureConfig) -> Capture:
         root=root, layout="one_light_a_picture", kind="light_stage", polarisation="none",
         light_stage=LightStage(root, {CAMERA: found}, lights), environments=environments, config=config, up=config.up or "y",
         cameras={CAMERA: camera}, masks={CAMERA: mask} if mask else None, files=tuple([*files, *environments]),
-        facts=tuple([*left_out_fact({CAMERA: frames}), *one_pass_facts({CAMERA: found}), *told]),
+        facts=tuple([*left_out_fact({CAMERA: frames}), *one_pass_facts({CAMERA: found}), *placed]),
     )  # fmt: skip
 
 

@@ -32,7 +32,15 @@ def _is_lp(path: Path) -> bool:
 
 
 def light_table_file(root: Path, config: CaptureConfig) -> Path | None:
-    """The file that tells where a capture's lights are (of LSX3's two, the positions); None without one."""
+    """Find the file that says where a capture's lights are.
+
+    Args:
+        root: the capture's folder.
+        config: its capture.toml, which may name the file.
+
+    Returns:
+        The file (of LSX3's two, the positions); None where there is none.
+    """
     if config.olat.lights is not None:
         return root / config.olat.lights
     path = next((p for p in (root / CSV, *(q for q in root.iterdir() if q.name.lower() == CSV)) if p.is_file()), None)

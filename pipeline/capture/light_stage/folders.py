@@ -81,7 +81,15 @@ def _add(cameras: dict[str, CameraFolders], label: str, home: Path, which: str, 
 
 
 def home_of(root: Path, name: str) -> Path:
-    """The folder of a camera of the light stage `root` that holds its mask and truth, by the camera's name."""
+    """Find the folder of a light-stage camera that holds its mask and truth.
+
+    Args:
+        root: the capture's folder.
+        name: the camera's, "camNN".
+
+    Returns:
+        The folder, whatever its spelling; root/NAME where none is found.
+    """
     if (root / name).is_dir():
         return root / name
     found = stage_folders(root).get(name) if root.is_dir() else None

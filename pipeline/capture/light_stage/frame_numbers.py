@@ -21,7 +21,17 @@ MOST_NUMBERS = 6
 
 
 def frame_files(folder: Path) -> list[Path]:
-    """The files of a pass that are frames, sorted. Raises UserError where there is none."""
+    """List the files of a light stage's pass that are frames.
+
+    Args:
+        folder: the pass's.
+
+    Returns:
+        Files of one kind (linear images before camera raw before photographs), sorted.
+
+    Raises:
+        UserError: there is none.
+    """
     there = sorted(p for p in folder.iterdir() if p.is_file() and not p.name.startswith("."))
     frames = next((some for kind in KINDS if (some := [p for p in there if p.suffix.lower() in kind])), [])
     if frames:
@@ -35,9 +45,16 @@ def frame_files(folder: Path) -> list[Path]:
 
 
 def numbered(frames: Sequence[Path]) -> dict[int, Path]:
-    """The frames of a pass by number: the last number of each name that tells them apart, exposures and versions left aside.
+    """Number the frames of a pass: by the last number in each name that tells them apart, exposures and versions left aside.
 
-    Raises UserError where one has no number, or two have the same.
+    Args:
+        frames: files of one pass.
+
+    Returns:
+        Number to file.
+
+    Raises:
+        UserError: a name has no number, or two have the same.
     """
     bare = next((p for p in frames if not re.search(r"\d", p.stem)), None)
     if bare is not None:

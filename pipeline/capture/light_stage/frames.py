@@ -115,11 +115,11 @@ def left_out_fact(frames: dict[str, PassFrames]) -> list[str]:
 
 def one_pass_facts(cameras: Mapping[str, LightStageCamera]) -> list[str]:
     """What to say of cameras that have one pass."""
-    told = "; diffuse and specular light are told apart by the fit"
+    apart = "; diffuse and specular light are told apart by the fit"
     kinds = {
         "cross": "frames behind crossed polarisers alone: diffuse light, no lobe",
-        "parallel": f"frames behind parallel polarisers alone{told}",
-        "none": f"frames without polarisers{told}",
+        "parallel": f"frames behind parallel polarisers alone{apart}",
+        "none": f"frames without polarisers{apart}",
     }
     found = {kind: [name for name, camera in cameras.items() if camera.passes == kind] for kind in kinds}
     return [f"{some(names)}: {kinds[kind]}" for kind, names in found.items() if names]

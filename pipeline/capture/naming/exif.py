@@ -25,10 +25,16 @@ def header_number(spec: Any, *names: str) -> float | None:
 
 
 def focal_from_exif(path: Path) -> float | None:
-    """Focal length in pixels from EXIF, or None where it does not say.
+    """Read a photograph's focal length from its EXIF header.
 
-    From the 35 mm equivalent, by the diagonal (which the equivalence keeps when the aspect ratio differs), else from
-    the focal length and the focal-plane resolution.
+    From the 35 mm equivalent, by the diagonal (which the equivalence keeps when the aspect ratio differs), else from the focal
+    length and the focal-plane resolution.
+
+    Args:
+        path: the photograph.
+
+    Returns:
+        Pixels; None where the header does not say, or the file cannot be read.
     """
     try:
         image = open_image(path)

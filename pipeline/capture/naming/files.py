@@ -205,12 +205,28 @@ def sorted_views(views: Iterable[ViewSource]) -> tuple[ViewSource, ...]:
 
 
 def count(items: Iterable[object], noun: str) -> str:
-    """'1 view', '3 views'."""
+    """Write a count with its noun: '1 view', '3 views'.
+
+    Args:
+        items: what is counted.
+        noun: singular.
+
+    Returns:
+        The words.
+    """
     n = len(list(items))
     return f"{n} {noun}" if n == 1 else f"{n} {noun}s"
 
 
 def some(names: Iterable[str], limit: int = 4) -> str:
-    """The first few of many names."""
+    """Write the first few of many names.
+
+    Args:
+        names: all.
+        limit: how many are written out.
+
+    Returns:
+        The words: 'a, b and 3 more'.
+    """
     listed = list(names)
     return ", ".join(listed[:limit]) + (f" and {len(listed) - limit} more" if len(listed) > limit else "")

@@ -30,8 +30,14 @@ MIN_STEP_DEG = 5.0
 
 @dataclass(frozen=True)
 class Exposure:
-    """One file of a bracket: seconds if the name says so, else stops relative to the others (None: EXIF decides);
-    `page`: which image of a file that holds several."""
+    """One file of an exposure bracket.
+
+    Fields:
+        path: the file.
+        seconds: where the name says so.
+        stops: relative to the others, where the name says so; None for both: EXIF decides.
+        page: which image of a file that holds several.
+    """
 
     path: Path
     seconds: float | None = None
@@ -41,7 +47,12 @@ class Exposure:
 
 @dataclass(frozen=True)
 class Group:
-    """The files of one view: exposures by polariser angle (degrees; None where there is no stack)."""
+    """The files of one view.
+
+    Fields:
+        view: VIEW.
+        angles: exposures by polariser angle, degrees; the angle is None where there is no stack.
+    """
 
     view: str
     angles: Mapping[float | None, tuple[Exposure, ...]]

@@ -16,7 +16,14 @@ LOOKED_AT = 200_000  # entries of a folder that are looked at: the folder of a w
 
 
 def fault_of_name(name: str) -> str | None:
-    """Why a name cannot be a file's in a dataset, or None where it can."""
+    """Say why a name cannot be a file's in a dataset.
+
+    Args:
+        name: without extension.
+
+    Returns:
+        Words that follow the name; None where it can.
+    """
     if any("\ud800" <= c <= "\udfff" for c in name):
         return "is no text in UTF-8"
     if len(name.encode()) > LONGEST:
@@ -27,12 +34,26 @@ def fault_of_name(name: str) -> str | None:
 
 
 def environment_name(path: Path) -> str:
-    """What results under a map are called: its file's name without extension, made a plain name where that is none."""
+    """Name what is computed under an environment map.
+
+    Args:
+        path: the map's file.
+
+    Returns:
+        Its name without extension; with "map_" before it where that is no plain name.
+    """
     return path.stem if path.stem not in RESERVED else f"map_{path.stem}"
 
 
 def refuse_unsafe_names(capture: Capture) -> None:
-    """Raise UserError where a view, a camera of a light stage or a map of the capture has a name that no file can have."""
+    """Refuse a capture with a view, light-stage camera or map whose name no file can have.
+
+    Args:
+        capture: as recognised.
+
+    Raises:
+        UserError: names the first of them.
+    """
     for what, name, path in _names(capture):
         if fault := fault_of_name(name):
             raise UserError(path, f"the name of its {what} {_shown(name)} {fault}", "rename the file")

@@ -19,11 +19,22 @@ from pipeline.formats.image_parts import Page
 
 
 def read_linear(path: Path, radiometry: RadiometryConfig, sensor_data: bool = False, page: Page | None = None) -> LinearImage:
-    """Read any image file as linear radiance, float32 in the file's own orientation (EXIF rotation is not applied).
+    """Read any image file as linear radiance.
 
-    `sensor_data`: a mosaic straight from the sensor, one channel of camera raw. 8-bit files are sRGB unless they are such,
-    or capture.toml says linear; 16-bit and float files are linear. Levels of capture.toml (`black_level`, `white_level`)
-    map to 0 and 1. `page`: one image of a file that holds several. Raises UserError.
+    8-bit files are sRGB, unless capture.toml says linear or they are `sensor_data`; 16-bit and float files are linear. Levels
+    of capture.toml (`black_level`, `white_level`) map to 0 and 1.
+
+    Args:
+        path: the image, camera raw too.
+        radiometry: what is known of it.
+        sensor_data: it is a mosaic straight from the sensor, one channel of camera raw.
+        page: one image of a file that holds several.
+
+    Returns:
+        float32 pixels in the file's own orientation (EXIF rotation is not applied), clipped samples and what the header says.
+
+    Raises:
+        UserError: the file cannot be read, or does not fit capture.toml.
     """
     if path.suffix.lower() in RAW_SUFFIXES:
         from pipeline.capture.pixels.raw import read_raw_mosaic, read_raw_rgb

@@ -42,7 +42,20 @@ class _Header:
 
 
 def understand(groups: Sequence[Group], config: CaptureConfig, kind: str, bayer: bool = False) -> Understood:
-    """Look at the files of views (`kind`: "stack", "mosaic" or "colour"). Raises UserError."""
+    """Look at the files of views for what capture.toml leaves open: exposures, white level, encoding.
+
+    Args:
+        groups: the views' files.
+        config: capture.toml.
+        kind: "stack", "mosaic" or "colour".
+        bayer: the sensor has a colour mosaic.
+
+    Returns:
+        The configuration with what was found, and facts and warnings about it.
+
+    Raises:
+        UserError: a file cannot be read.
+    """
     radiometry = config.radiometry
     single = {e.path: e for g in groups for es in g.angles.values() if len(es) == 1 for e in es}
     headers = {path: _header(e) for path, e in single.items()}

@@ -11,7 +11,12 @@ from pipeline.capture.config import RadiometryConfig
 
 @dataclass(frozen=True)
 class FoundRadiometry(RadiometryConfig):
-    """capture.toml's radiometry with what the files tell: factors on radiance and encodings that were found, by file."""
+    """capture.toml's radiometry with what the files say.
+
+    Fields:
+        factors: on radiance, by file.
+        encodings: by file.
+    """
 
     factors: Mapping[Path, float] = field(default_factory=dict)
     encodings: Mapping[Path, str] = field(default_factory=dict)
@@ -25,5 +30,13 @@ def for_file(radiometry: RadiometryConfig, path: Path) -> RadiometryConfig:
 
 
 def factor_of(radiometry: RadiometryConfig, path: Path) -> float:
-    """What a file's radiance is multiplied with, so that its exposure is the usual one."""
+    """Find the factor that takes a file's radiance to the usual exposure.
+
+    Args:
+        radiometry: of the capture.
+        path: the file.
+
+    Returns:
+        The factor; 1 where none was found.
+    """
     return radiometry.factors.get(path, 1.0) if isinstance(radiometry, FoundRadiometry) else 1.0

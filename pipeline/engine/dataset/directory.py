@@ -30,6 +30,11 @@ class Dataset:
     """
 
     def __init__(self, root: Path) -> None:
+        """Look at a dataset directory, which need not exist.
+
+        Args:
+            root: the directory.
+        """
         self.root = root
         self.digests = DigestCache(root / ".work" / "digests.json")
         self.in_use_table = InUse(root)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from pipeline.capture import Capture
 from pipeline.engine.stage import Decision, Stage, StageRun
-from stages import memory_estimate
+from stages import memory_estimate, time_estimate
 from stages.calib.decode.parameters import DecodeParameters
 
 
@@ -54,4 +54,6 @@ STAGE = Stage(
     capture_files=capture_files,
     config=("stokes", "radiometry", "mosaic", "stack", "raw", "polarisers", "olat"),
     memory=memory_estimate.decode,
+    costs=time_estimate.decode,
+    parallel=0.3,
 )

@@ -7,7 +7,8 @@ from pathlib import Path
 
 from pipeline.capture import Capture
 from pipeline.engine.stage import Decision, Stage, StageRun
-from stages import memory_estimate
+from pipeline.geometry.cameras import Camera
+from stages import memory_estimate, time_estimate
 from stages.calib.poses.parameters import PosesParameters
 
 
@@ -22,9 +23,16 @@ def needed(capture: Capture, parameters: PosesParameters) -> Decision:
             "triangulation": Decision(
                 parameters.triangulate, "asked for" if parameters.triangulate else "not asked for (poses.triangulate)"
             ),
+            "undistortion": _undistortion(capture.cameras.values()),
         }
         return Decision(True, f"cameras are given by {source}: they are written in one schema", passes)
     return Decision(True, f"no cameras: found from {len(capture.views)} views", {"colmap": Decision(True, "no cameras given")})
+
+
+def _undistortion(cameras: Iterable[Camera]) -> Decision:
+    """Whether pictures are bent straight: where a lens is no pinhole."""
+    bent = sum(not camera.is_pinhole for camera in cameras)
+    return Decision(bent > 0, f"{bent} views through a lens that bends lines" if bent else "no camera's lens bends lines")
 
 
 def capture_files(capture: Capture) -> Iterable[Path]:
@@ -60,4 +68,6 @@ STAGE = Stage(
     capture_files=capture_files,
     config=("poses", "unit_m", "up"),
     memory=memory_estimate.poses,
+    costs=time_estimate.poses,
+    parallel=0.9,
 )

@@ -24,7 +24,18 @@ DIFFERENCE_FULL = 0.1  # of display, at the bright end: as in the report
 
 
 def compare(paths: Sequence[Path], output: Path) -> Path:
-    """Print what differs and write compare.html into `output`; returns the page's path. Raises UserError."""
+    """Print what differs between results, and write the page that shows it.
+
+    Args:
+        paths: datasets.
+        output: folder for compare.html; made when missing.
+
+    Returns:
+        The page.
+
+    Raises:
+        UserError: a path holds no results.
+    """
     results = read_results(paths)
     names = [result.name for result in results]
     figures, costs, parameters = figure_lines(results), cost_lines(results), parameter_lines(results)

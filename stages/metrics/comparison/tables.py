@@ -68,7 +68,7 @@ def _flat(metrics: Mapping[str, Any]) -> dict[tuple[str, str], float]:
     """(stage or "relight NAME", figure) -> number."""
     out: dict[tuple[str, str], float] = {}
     for stage, table in metrics.items():
-        if not isinstance(table, Mapping):
+        if not isinstance(table, Mapping) or stage in SKIPPED:
             continue
         for name, value in table.items():
             if isinstance(value, Mapping) and name not in SKIPPED:

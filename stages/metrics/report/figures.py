@@ -39,6 +39,15 @@ FIGURES = {
     "albedo_rel_error_scaled": Figure("Albedo at best scale, median error", "%", 1, 100),
     "roughness_map_error": Figure("Roughness map, mean error", "", 3),
     "ior_map_error": Figure("Index of refraction map, mean error", "", 3),
+    "psnr_diffuse": Figure("PSNR of the diffuse part", "dB"),
+    "psnr_specular": Figure("PSNR of the specular part", "dB"),
+    "lpips": Figure("LPIPS", "", 4),
+    "lpips_behind_polariser": Figure("LPIPS behind the polariser", "", 4),
+    "specular_albedo_rel_median": Figure("Specular albedo, median error of a pixel", "%", 2, 100),
+    "sigma_map_rel_median": Figure("σ, median error of a pixel", "%", 2, 100),
+    "sigma_map_rel_median_u": Figure("Larger σ, median error of a pixel", "%", 2, 100),
+    "sigma_map_rel_median_v": Figure("Smaller σ, median error of a pixel", "%", 2, 100),
+    "occlusion_error": Figure("Occlusion, mean error", "", 4),
     "holes_pct": Figure("Holes in the object", "%", 3),
     "env_psnr": Figure("Environment, PSNR", "dB"),
     "env_psnr_scaled": Figure("Environment, PSNR at best scale", "dB"),
@@ -53,6 +62,13 @@ FIGURES = {
     "disagreement_diffuse_albedo": Figure("Cameras' diffuse albedo against all together", "", 4),
     "disagreement_specular_albedo": Figure("Cameras' specular albedo against all together", "", 4),
     "disagreement_sigma": Figure("Cameras' σ against all together", "", 4),
+    "chamfer_mm": Figure("Mesh, chamfer distance", "mm", 3),
+    "accuracy_mm": Figure("Mesh, accuracy", "mm", 3),
+    "completeness_mm": Figure("Mesh, completeness", "mm", 3),
+    "genus": Figure("Mesh, handles (genus)", "", 0),
+    "components": Figure("Mesh, pieces", "", 0),
+    "self_intersecting_pct": Figure("Mesh, triangles that cross others", "%", 3),
+    "inside_out_pct": Figure("Mesh, area that looks inward", "%", 3),
     "triangles": Figure("Mesh, triangles", "", 0),
     "psnr_srgb_scaled": Figure("PSNR at best scale per channel", "dB"),
     "psnr_foreground_scaled": Figure("PSNR of the object, at best scale", "dB"),
@@ -98,7 +114,7 @@ HEADLINES = {
     "mesh": ("chamfer_pct",),
     "olat": ("diffuse_normal_median_deg", "normal_median_deg", "albedo_rel_median", "sigma_rel_error_u", "residual_median"),
 }
-SKIPPED = ("views", "why", "wall_s", "cpu_s", "peak_rss_mb")
+SKIPPED = ("views", "why", "wall_s", "cpu_s", "peak_rss_mb", "left_out")
 
 
 def describe(name: str) -> Figure:
@@ -146,7 +162,7 @@ def tables(metrics: Mapping[str, Any]) -> list[dict[str, Any]]:
     """A table of figures, with reasons and rows per view, for every stage and part."""
     out: list[dict[str, Any]] = []
     for stage, table in metrics.items():
-        if not isinstance(table, Mapping):
+        if not isinstance(table, Mapping) or stage in SKIPPED:
             continue
         out += _tables_of(stage, table)
     return [t for t in out if t["figures"] or t["rows"]]
@@ -159,7 +175,7 @@ def _tables_of(title: str, table: Mapping[str, Any]) -> list[dict[str, Any]]:
     for name, value in sorted(table.items(), key=lambda item: order.get(item[0], len(order))):
         if name in SKIPPED:
             continue
-        if isinstance(value, Mapping) and ("views" in value or "why" in value or "pixels" in value):
+        if isinstance(value, Mapping) and any(key in value for key in ("views", "why", "pixels", "triangles")):
             if "pixels" not in value or "why" in value:  # a camera's figures are in the rows
                 parts += _tables_of(f"{title}: {name}", value)
             continue

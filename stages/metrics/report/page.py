@@ -9,13 +9,15 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.engine.dataset import Dataset
-from pipeline.engine.progress import clock
+from pipeline.engine.outlook import amount
+from pipeline.engine.progress import brief, clock
 from pipeline.engine.stage import StageRun
 from pipeline.formats.dataset_files import FITTED_LOBE, TRAIN_LOG
 from pipeline.report.curves import line_chart
 from pipeline.report.render import render
 
 from .figures import headlines, tables, text_of
+from .first_screen import cost_lines, left_out_rows, next_steps
 from .viewer import page
 from .viewer.model_scene import model_scene
 from .viewer.rig_scene import rig_scene
@@ -26,6 +28,9 @@ FOLDER = Path(__file__).parent
 def write_report(run: StageRun, metrics: dict[str, Any], manifests: Mapping[str, dict[str, Any]]) -> None:
     """Write report.html into the stage's output."""
     scene = model_scene(run) or rig_scene(run)
+    log = training_log(run.inputs["train"] / TRAIN_LOG) if "train" in run.inputs else []
+    warnings = [(n, w) for n, m in manifests.items() for w in m.get("warnings", [])]
+    warnings += [("capture", w) for w in run.capture.warnings]
     context = {
         "text_of": text_of,
         "name": run.capture.root.name,
@@ -34,11 +39,12 @@ def write_report(run: StageRun, metrics: dict[str, Any], manifests: Mapping[str,
         "plan": plan_rows(run, manifests),
         "views": [], "environment": [], "relit": [], "olat": [], "lobe": {}, "disagreement": [],
         "scene": scene, "scene_text": page.embedded(scene), "script": page.script(), "viewer_style": page.style(),
-        "curves": training_curves(run.inputs["train"] / TRAIN_LOG) if "train" in run.inputs else [],
+        "curves": training_curves(log),
+        "spent": cost_lines(manifests), "left_out": left_out_rows(run.left_out),
+        "next": next_steps(run, metrics, len(warnings), log),
         "costs": cost_rows(manifests),
         "tables": tables(metrics),
-        "warnings": [(n, w) for n, m in manifests.items() for w in m.get("warnings", [])]
-        + [("capture", w) for w in run.capture.warnings],
+        "warnings": warnings,
         "parameters": {n: m.get("parameters", {}) for n, m in manifests.items() if m.get("parameters")},
         "packages": dict(sorted({k: v for m in manifests.values() for k, v in m.get("packages", {}).items()}.items())),
     }  # fmt: skip
@@ -101,8 +107,15 @@ def plan_rows(run: StageRun, manifests: Mapping[str, dict[str, Any]]) -> list[di
         passes = dict(decision.get("passes", {}))
         facts = manifests.get(name, {}).get("facts", {})
         passes |= {k: v for k, v in facts.items() if isinstance(v, dict) and {"run", "reason"} <= set(v)}
-        rows.append({"name": name, "run": decision["run"], "reason": decision["reason"], "passes": passes})
+        left = {part: saved(run, f"{name}.{part}" if part else name) for part in ("", *passes)}
+        rows.append({"name": name, "run": decision["run"], "reason": decision["reason"], "passes": passes, "saved": left})
     return rows
+
+
+def saved(run: StageRun, name: str) -> str:
+    """What leaving a stage or pass out saved, to put behind its reason."""
+    left = run.left_out.get(name)
+    return f" (saved {amount(left['saved_s'], left['saved_mb'])})" if left else ""
 
 
 def cost_rows(manifests: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
@@ -111,9 +124,11 @@ def cost_rows(manifests: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
     longest = max([*walls, 1e-9])
     rows = []
     for (name, m), wall in zip(manifests.items(), walls):
+        foretold = m.get("expected_wall_s")
         disk = sum(o["bytes"] for o in m.get("outputs", [])) / 2**20
         rows.append({
             "name": name, "wall": clock(wall) if wall >= 10 else f"{wall:.1f} s", "cpu": f"{float(m.get('cpu_s') or 0):.1f} s",
+            "foretold": brief(foretold) if isinstance(foretold, int | float) else "",
             "memory": f"{float(m.get('peak_rss_mb') or 0):,.0f} MB".replace(",", " "), "disk": f"{disk:.1f} MB",
             "share": 100 * wall / longest, "key": m.get("key", ""), "device": m.get("device", ""),
         })  # fmt: skip
@@ -121,12 +136,16 @@ def cost_rows(manifests: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
     return {"rows": rows, "wall": clock(sum(walls)), "memory": f"{peak:,.0f} MB".replace(",", " ")}
 
 
-def training_curves(path: Path) -> list[str]:
-    """Charts of the training log: validation PSNR and losses over wall seconds."""
+def training_log(path: Path) -> list[dict[str, str]]:
+    """The rows of a training log; none where there is none."""
     if not path.is_file():
         return []
     with path.open() as stream:
-        rows = list(csv.DictReader(stream))
+        return list(csv.DictReader(stream))
+
+
+def training_curves(rows: list[dict[str, str]]) -> list[str]:
+    """Charts of the training log: validation PSNR and losses over wall seconds."""
     if len(rows) < 2:
         return []
 

@@ -21,12 +21,13 @@ FIGURES = {
 @dataclass(frozen=True)
 class Measured:
     """A run: parameters that differ from the user's, seconds of every stage without those of compiling kernels (which happens
-    once on a machine), and its error over that of the user's run (1)."""
+    once on a machine), and its error over that of the user's run (1). `pace`: wall seconds of a processor second, by stage."""
 
     changed: dict[str, Any]
     seconds: dict[str, float]
     error: float
     figures: dict[str, float] = field(default_factory=dict)
+    pace: dict[str, float] = field(default_factory=dict)
 
     @property
     def total(self) -> float:
@@ -50,12 +51,21 @@ def errors(metrics: Mapping[str, Any]) -> dict[str, float]:
     return out
 
 
-def measured(result: Result, changed: Mapping[str, Any], base: Mapping[str, float]) -> Measured:
-    """A finished run beside the errors `base` of the user's own: the geometric mean of their ratios; 1 if they share none."""
+def measured(result: Result, changed: Mapping[str, Any], base: Mapping[str, float], pace: Mapping[str, float]) -> Measured:
+    """A finished run beside the errors `base` of the user's own: the geometric mean of their ratios; 1 if they share none.
+
+    Its seconds are those of the processor at the user's run's `pace`: what else the machine did meanwhile does not count.
+    """
     own = errors(result.metrics)
     shared = [math.log(own[k] / base[k]) for k in base if k in own]
-    seconds = {
-        stage: max(float(m.get("wall_s") or 0.0) - float(m.get("compile_s") or 0.0), 0.0)
-        for stage, m in result.manifests.items()
-    }
-    return Measured(dict(changed), seconds, math.exp(sum(shared) / len(shared)) if shared else 1.0, own)
+    taken = {stage: _taken(manifest) for stage, manifest in result.manifests.items()}
+    own_pace = {stage: wall / cpu if cpu > 0 else 1.0 for stage, (wall, cpu) in taken.items()}
+    seconds = {stage: cpu * pace.get(stage, own_pace[stage]) if cpu > 0 else wall for stage, (wall, cpu) in taken.items()}
+    return Measured(dict(changed), seconds, math.exp(sum(shared) / len(shared)) if shared else 1.0, own, own_pace)
+
+
+def _taken(manifest: Mapping[str, Any]) -> tuple[float, float]:
+    """Wall and processor seconds of a stage without those of compiling, which is the work of one thread."""
+    wall, cpu, compiled = (float(manifest.get(name) or 0.0) for name in ("wall_s", "cpu_s", "compile_s"))
+    share = min(1.0, cpu / wall) if wall > 0 else 1.0
+    return max(wall - compiled, 0.0), max(cpu - compiled * share, 0.0)

@@ -53,7 +53,7 @@ class Tradeoff:
     def try_out(self, changed: Mapping[str, Any]) -> Measured:
         """Run and measure, and keep the figure."""
         assert self.base is not None
-        run = measured(self.make(changed), changed, self.base.figures)
+        run = measured(self.make(changed), changed, self.base.figures, self.base.pace)
         self.runs.append(run)
         self.say(f"{_line(changed)}: {clock(run.total)} ({run.total / self.base.total:.2f} of yours), error x {run.error:.3f}")
         return run
@@ -64,13 +64,16 @@ class Tradeoff:
 
 
 def run_tradeoff(capture: Path, dataset: Path, params: str, envs: str, say: Callable[[str], None]) -> Path:
-    """Try the parameters that matter to this capture and write tradeoff.html beside the dataset; returns its path.
+    """Try the parameters that matter to a capture and write tradeoff.html beside the dataset.
 
     Args:
         capture: its folder.
         dataset: the user's dataset, finished or not; what it holds is used and left as it is.
         params, envs: as given on the command line.
         say: shows a line of progress.
+
+    Returns:
+        The page.
 
     Raises:
         UserError: a run fails.
@@ -79,7 +82,7 @@ def run_tradeoff(capture: Path, dataset: Path, params: str, envs: str, say: Call
     work = Tradeoff(capture, folder / "dataset", params, envs, say)
     _seed(dataset, work.dataset)
     first = work.make({})
-    work.base = measured(first, {}, errors(first.metrics))
+    work.base = measured(first, {}, errors(first.metrics), {})
     work.spent = 0.0
     say(f"your run takes {clock(work.base.total)}; trials may take {clock(BUDGET * work.base.total)} together")
     singles = [work.try_out({t.parameter: t.value}) for t in _trials(first) if work.affords(_guess(work.base, t))]

@@ -12,7 +12,14 @@ from stages.olat.reading.stream import reading
 
 
 def check_early(stage: StageRun) -> None:
-    """Warn, or raise UserError, as a run would before its fits. Writes nothing."""
+    """Warn, or raise, as a run of the olat stage would before its fits. Writes nothing.
+
+    Args:
+        stage: the run.
+
+    Raises:
+        UserError: the frames contradict the light table or each other.
+    """
     rig = light_rig(decoded(stage), every(stage.parameters.lights))
     with reading(stage) as lanes:
         check_rig(stage, rig, stage.capture.config.olat.near_light)

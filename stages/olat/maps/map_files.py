@@ -15,6 +15,9 @@ from stages.olat.reading.scanline_bands import Band
 
 COARSE = ("occlusion_d", "occlusion_s", "visibility_d", "visibility_s", "interreflection_d", "interreflection_s")
 """Maps that half floats hold well; the others are float32."""
+SHOWN = ("sigma", "residual")
+"""Maps of two numbers: these stand as R and G (half floats, B 0) beside the named channels, for programs that would show a
+picture's Y alone."""
 PREVIEW = 480  # pixels of a preview's longer side
 
 
@@ -32,8 +35,10 @@ class MapWriter:
             if name in ON_REQUEST and name not in asked:
                 continue
             kind = "half" if name in COARSE else "float"
-            spec = oiio.ImageSpec(width, height, len(channels), kind)
-            spec.channelnames = channels
+            shown = ("R", "G", "B") if name in SHOWN else ()
+            spec = oiio.ImageSpec(width, height, len(channels) + len(shown), kind)
+            spec.channelnames = (*channels, *shown)
+            spec.channelformats = (*(kind,) * len(channels), *("half",) * len(shown)) if shown else ()
             spec.attribute("compression", "zip")
             spec.attribute("DateTime", "2000:01:01 00:00:00")  # otherwise the clock would change the bytes
             path = folder / f"{name}.exr"
@@ -80,6 +85,8 @@ class MapWriter:
 
         def write(name: str, place: slice) -> None:
             part = np.ascontiguousarray(strip[..., place])
+            if name in SHOWN:
+                part = np.concatenate([part, part, np.zeros_like(part[..., :1])], -1)
             if not self.files[name].write_scanlines(top, top + len(strip), 0, part):
                 raise write_fault(self.folder / f"{name}.exr", self.files[name].geterror().strip())
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import torch
 
+from pipeline.splats.harmonics import COEFFICIENTS, terms
+
 from ..splats.gaussians import SplatModel, Splats
 from ..views.source_views import MEAN_EXPOSED
 from ..views.view import View
 
 NAME = "indirect"
 """Of the coefficients [N, COEFFICIENTS, 3] among a model's tensors."""
-COEFFICIENTS = 16  # degree 3, as 3D Gaussian splatting has them
 
 
 def start_harmonics(model: SplatModel) -> None:
@@ -24,27 +25,7 @@ def basis(d: torch.Tensor) -> torch.Tensor:
 
     By degree, and by order within it (-l .. l); without the sign (-1)^m of Condon and Shortley.
     """
-    x, y, z = d.unbind(-1)
-    xx, yy, zz = x * x, y * y, z * z
-    return torch.stack(
-        [
-            torch.full_like(x, 0.28209479177387814),
-            *(0.4886025119029199 * v for v in (y, z, x)),
-            1.0925484305920792 * x * y,
-            1.0925484305920792 * y * z,
-            0.31539156525252005 * (3 * zz - 1),
-            1.0925484305920792 * x * z,
-            0.5462742152960396 * (xx - yy),
-            0.5900435899266435 * y * (3 * xx - yy),
-            2.890611442640554 * x * y * z,
-            0.4570457994644658 * y * (5 * zz - 1),
-            0.3731763325901154 * z * (5 * zz - 3),
-            0.4570457994644658 * x * (5 * zz - 1),
-            1.445305721320277 * z * (xx - yy),
-            0.5900435899266435 * x * (xx - 3 * yy),
-        ],
-        -1,
-    )
+    return torch.stack(terms(*d.unbind(-1)), -1)
 
 
 def towards_mirror(model: SplatModel, splats: Splats, view: View) -> torch.Tensor:

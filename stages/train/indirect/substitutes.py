@@ -11,7 +11,8 @@ from pipeline.shading.gridmap import GridMap, nearest_albedo
 from pipeline.shading.occluded import LEAST_BLOCKED, blocked_share
 
 from ..parameters import TrainParameters
-from ..render_view import LEAST_ALPHA, GBuffer
+from ..pixel_attributes import LEAST_ALPHA
+from ..render_view import GBuffer
 from ..scene import Scene
 from ..splats.gaussians import ROUGHNESS_FLOOR, Splats
 from ..splats.splat_occlusion import LIFT, CarriedHull

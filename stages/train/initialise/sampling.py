@@ -31,7 +31,7 @@ def wanted_count(area: float, pixel: float, splat_pixels: float, maximum: int) -
 
 
 def sample_evenly(mesh: HullMesh, count: int, rng: np.random.Generator) -> SurfaceSamples:
-    """About `count` Poisson-disk samples of the surface, relaxed towards equal spacing."""
+    """About `count` Poisson-disk samples of the surface, relaxed towards equal spacing, near ones near in memory."""
     dense, normals = _random_samples(mesh, 5 * count, rng)
     radius = np.sqrt(mesh_area(mesh) / count * 0.72)  # a maximal Poisson-disk pattern covers about 0.72 of a hexagonal one
     for _ in range(2):
@@ -39,8 +39,21 @@ def sample_evenly(mesh: HullMesh, count: int, rng: np.random.Generator) -> Surfa
         radius *= np.sqrt(len(kept) / count)
     kept = _poisson_disk(dense, normals, radius)
     points, directions = _relaxed(dense[kept], dense, normals, rounds=4)
+    order = along_curve(points)
+    points, directions = points[order], directions[order]
     distance, _ = cKDTree(points).query(points, k=7)
     return SurfaceSamples(points, directions, distance[:, 1:].mean(1))
+
+
+def along_curve(points: np.ndarray) -> np.ndarray:
+    """An order of points [N, 3] in which neighbours in space mostly are neighbours in memory: that of their Morton codes."""
+    low = points.min(0)
+    cells = ((points - low) * (1023 / max(float((points.max(0) - low).max()), 1e-30))).astype(np.uint64)
+    code = np.zeros(len(points), np.uint64)
+    for bit in range(10):
+        for axis in range(3):
+            code |= ((cells[:, axis] >> np.uint64(bit)) & np.uint64(1)) << np.uint64(3 * bit + axis)
+    return np.argsort(code, kind="stable")
 
 
 def _random_samples(mesh: HullMesh, count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import torch
 
 from .optimiser import adam_update
@@ -29,9 +30,8 @@ class ScaleStep:
         """Move log radiance [..., 3] and albedo logits [N, 3] in place; call it while their gradients are still there."""
         if environment.grad is None or albedo.grad is None:
             return
-        # d logit = d log albedo / (1 - albedo)
-        share = 1 / (1 - torch.sigmoid(albedo).clamp_max(MOST_ALBEDO))
-        gradient = environment.grad.reshape(-1, 3).sum(0) - (share * albedo.grad).sum(0)
+        share, pull = albedo_pull(albedo)
+        gradient = environment.grad.reshape(-1, 3).sum(0) - pull
         gradient = torch.nan_to_num(gradient, nan=0.0, posinf=0.0, neginf=0.0)
         if self.moments is None:
             self.moments = torch.zeros(2, 3, device=gradient.device)
@@ -39,7 +39,7 @@ class ScaleStep:
         first, second = self.moments
         g = -RATE * rate_scale * adam_update(first, second, gradient, self.steps)
         environment.add_(g)
-        albedo.sub_(share * g)
+        albedo.addcmul_(share, g, value=-1)
 
     def state(self) -> dict[str, Any]:
         """Everything a resume needs."""
@@ -48,3 +48,23 @@ class ScaleStep:
     def load(self, state: dict[str, Any]) -> None:
         """Take over a saved state."""
         self.moments, self.steps = state["moments"], state["steps"]
+
+
+def albedo_pull(albedo: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Of logits [N, 3] with a gradient: d logit = share * d log albedo [N, 3], and the gradient along it, summed [3]."""
+    gradient = albedo.grad
+    assert gradient is not None
+    if not (albedo.device.type == "cpu" and albedo.dtype == torch.float32 and albedo.is_contiguous()):
+        return albedo_pull_plainly(albedo, gradient)
+    from .splat_kernels import scale_gradient
+
+    share, pull = torch.empty_like(albedo), np.zeros(3)
+    given = (albedo.detach().numpy(), gradient.contiguous().numpy())
+    scale_gradient(*given, np.float32(MOST_ALBEDO), share.numpy(), pull)
+    return share, torch.as_tensor(pull, dtype=torch.float32)
+
+
+def albedo_pull_plainly(albedo: torch.Tensor, gradient: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """`albedo_pull` in torch: the definition."""
+    share = 1 / (1 - torch.sigmoid(albedo).clamp_max(MOST_ALBEDO))
+    return share, (share * gradient).sum(0)

@@ -11,47 +11,44 @@ from .optimiser import SurfaceAdam
 from .surface_graph import SurfaceGraph
 
 LEAST_OPACITY = 0.05  # fainter splats are removed (the released code's figure)
-LEAST_WEIGHT = 0.01  # a splat that never had this blending weight in any view since the last look is hidden
 SHRINK = 0.85  # scale of a split edge's ends and of the new splat, so that details get sharper and coverage stays
 GROWTH = 0.08  # largest share of new splats a time
 
 
 @dataclass
 class Activity:
-    """Per splat since the last look: summed screen gradient (1/px), times drawn, largest blending weight, and in how many
-    views it turned its outer side to the camera. [N] each."""
+    """Per splat since the last look: summed screen gradient (1/px), and times drawn. [N] each."""
 
     gradient: torch.Tensor
     drawn: torch.Tensor
-    weight: torch.Tensor
-    faced: torch.Tensor
 
     @classmethod
     def empty(cls, count: int, device: torch.device | str) -> Activity:
         """Nothing seen yet."""
-        return cls(*(torch.zeros(count, device=device) for _ in range(4)))
+        return cls(*(torch.zeros(count, device=device) for _ in range(2)))
 
     def add(self, rows: torch.Tensor, gradient: torch.Tensor, weight: torch.Tensor) -> None:
         """Take in one view: values of the splats `rows` that were drawn."""
-        self.faced[rows] += 1
+        if weight.device.type == "cpu":
+            from .splat_kernels import count_view
+
+            count_view(*(t.numpy() for t in (rows, gradient, weight, self.gradient, self.drawn)))
+            return
         self.gradient[rows] += gradient
         self.drawn[rows] += (weight > 0).to(self.drawn.dtype)
-        self.weight[rows] = torch.maximum(self.weight[rows], weight)
 
     def rows(self, rows: torch.Tensor) -> Activity:
         """That of these splats alone."""
-        return Activity(self.gradient[rows], self.drawn[rows], self.weight[rows], self.faced[rows])
+        return Activity(self.gradient[rows], self.drawn[rows])
 
 
-def kept_rows(opacities: torch.Tensor, activity: Activity, backs: bool = False) -> torch.Tensor:
-    """Indices of the splats that show: opaque enough, and in front somewhere.
+def kept_rows(opacities: torch.Tensor) -> torch.Tensor:
+    """Indices of the splats that are opaque enough to show.
 
-    With `backs`, those that every view since the last look sees from behind stay too: an opening may show them.
+    What other splats hide from every training view stays: another view may see it, and a hole in its place. (A view held back
+    of a vase lacked an eighth of its pixels, those of the underside, where hidden splats went.)
     """
-    shows = activity.weight > LEAST_WEIGHT
-    if backs:
-        shows |= activity.faced == 0
-    return torch.nonzero((opacities > LEAST_OPACITY) & shows)[:, 0]
+    return torch.nonzero(opacities > LEAST_OPACITY)[:, 0]
 
 
 def edges_to_split(graph: SurfaceGraph, activity: Activity, most: int) -> torch.Tensor:

@@ -12,6 +12,7 @@ from ..initialise.sampling import SurfaceSamples
 ROUGHNESS_FLOOR = 0.08  # r_min, docs/physics.md: sharper lobes than this alias in the prefiltered cube
 IOR_LOW = 1.3  # eta = 1.3 + sigmoid (PhyGaP 9.1, with its slip mended)
 PER_SPLAT = ("anchor", "position", "normal", "log_scale", "opacity", "albedo", "roughness_offset", "ior_offset")
+ACTIVATED = ("normal", "log_scale", "opacity", "albedo", "roughness_offset", "ior_offset", "roughness", "ior")
 OPTIONAL = ("indirect",)  # per splat too, where there are any: `indirect.harmonics`
 
 
@@ -83,12 +84,20 @@ class SplatModel:
     def activated(self) -> Splats:
         """Every Gaussian's physical values, differentiable."""
         t = self.tensors
+        if all(t[name].device.type == "cpu" and t[name].dtype == torch.float32 for name in ACTIVATED):
+            from .activation import Activation
+
+            return Splats(t["position"], *Activation.apply(*(t[name] for name in ACTIVATED)))
+        return self.activated_plainly()
+
+    def activated_plainly(self) -> Splats:
+        """`activated` in torch: the definition."""
+        t = self.tensors
         normals = unit(t["normal"])
-        quaternions = normal_quaternions(normals.detach())
         return Splats(
             means=t["position"],
             normals=normals,
-            quaternions=quaternions,
+            quaternions=normal_quaternions(normals.detach()),
             scales=torch.exp(t["log_scale"])[:, None].expand(-1, 2),
             opacities=torch.sigmoid(t["opacity"]),
             albedo=torch.sigmoid(t["albedo"]),

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
 import torch
 
 from .surface_graph import SurfaceGraph
@@ -27,6 +28,21 @@ def adam_update(
     if together:
         scale = scale.mean(-1, keepdim=True)
     return first / (1 - BETA1**steps) / (scale.sqrt() + EPSILON)
+
+
+def _update(first: torch.Tensor, second: torch.Tensor, gradient: torch.Tensor, steps: int, together: bool) -> torch.Tensor:
+    """`adam_update`, where what is not finite in the gradient counts as 0; in one pass on the CPU."""
+    moments = (first, second, gradient)
+    if not all(t.device.type == "cpu" and t.dtype == torch.float32 and t.is_contiguous() for t in moments):
+        return adam_update(first, second, torch.nan_to_num(gradient, nan=0.0, posinf=0.0, neginf=0.0), steps, together)
+    from .splat_kernels import adam_rows
+
+    shape = (-1, gradient.shape[-1]) if together else (-1, 1)
+    update = torch.empty_like(gradient)
+    factors = np.array((BETA1, BETA2, 1 - BETA1**steps, 1 - BETA2**steps, EPSILON), np.float32)
+    rows = [t.detach().view(shape).numpy() for t in (gradient, *moments[:2], update)]
+    adam_rows(rows[0], rows[1], rows[2], *factors, together, rows[3])
+    return update
 
 
 @dataclass(frozen=True)
@@ -73,9 +89,8 @@ class SurfaceAdam:
             if tensor.grad is None or name not in self.rules:
                 continue
             rule = self.rules[name]
-            gradient = torch.nan_to_num(tensor.grad, nan=0.0, posinf=0.0, neginf=0.0)
-            lost = (gradient != tensor.grad).sum()  # stays on the device: nothing waits for it
-            tensor.grad = None
+            gradient, tensor.grad = tensor.grad, None
+            lost = (~torch.isfinite(gradient)).sum()  # stays on the device: nothing waits for it
             if name not in self.first or self.first[name].shape != tensor.shape:
                 self.first[name] = torch.zeros_like(tensor)
                 self.second[name] = torch.zeros_like(tensor)
@@ -85,12 +100,12 @@ class SurfaceAdam:
             first = torch.where((count == 0) & (lost > 0), self.steps[name], since)
             self.not_finite[name] = torch.stack((count + lost, first))
             together = bool(rule.diffusion) and gradient.ndim > 1
-            update = adam_update(self.first[name], self.second[name], gradient, self.steps[name], together)
+            update = _update(self.first[name], self.second[name], gradient, self.steps[name], together)
             rounds = round(rule.diffusion * diffusion_scale)
             if rounds and graph is not None and update.shape[0] == len(graph):
                 flat = update.reshape(len(update), -1)
                 update = graph.diffuse(flat, rounds).reshape(update.shape)
-            tensor.sub_(rule.rate * rate_scale.get(name, rate_scale[""]) * update)
+            tensor.sub_(update, alpha=rule.rate * rate_scale.get(name, rate_scale[""]))
 
     def select(self, names: tuple[str, ...], rows: torch.Tensor) -> None:
         """Keep these rows of the moments of per-splat tensors (the same rows that the model keeps)."""

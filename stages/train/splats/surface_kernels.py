@@ -75,16 +75,38 @@ def surface_losses_rows(
 @kernel(nogil=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz"})
 def diffuse_rows(first, last, indptr, indices, values, out):
     """out[i] = half its own value and half its neighbours' mean, for rows first..last of [N, C]."""
-    channels = values.shape[1]
+    half, none = np.float32(0.5), np.float32(0)
     for i in range(first, last):
         degree = indptr[i + 1] - indptr[i]
-        if degree == 0:
-            for c in range(channels):
-                out[i, c] = values[i, c]
-            continue
-        share = np.float32(0.5) / np.float32(degree)
-        for c in range(channels):
-            total = np.float32(0.0)
+        own, share = (half, half / np.float32(degree)) if degree else (np.float32(1), none)
+        for c in range(0, values.shape[1] - 2, 3):  # three at once: each neighbour is fetched once
+            a = b = d = none
+            for e in range(indptr[i], indptr[i + 1]):
+                j = indices[e]
+                a += values[j, c]
+                b += values[j, c + 1]
+                d += values[j, c + 2]
+            out[i, c] = own * values[i, c] + share * a
+            out[i, c + 1] = own * values[i, c + 1] + share * b
+            out[i, c + 2] = own * values[i, c + 2] + share * d
+        for c in range(values.shape[1] - values.shape[1] % 3, values.shape[1]):
+            total = none
             for e in range(indptr[i], indptr[i + 1]):
                 total += values[indices[e], c]
-            out[i, c] = np.float32(0.5) * values[i, c] + share * total
+            out[i, c] = own * values[i, c] + share * total
+
+
+@kernel(nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
+def steps(values, edges, width, gradient):
+    """Sum of the robust differences of values [M, 3] along edges [2, E], in their order; `gradient` [M, 3], zeroed, adds up."""
+    total = 0.0
+    for e in range(edges.shape[1]):
+        i, j = edges[0, e], edges[1, e]
+        for c in range(3):
+            r = values[j, c] - values[i, c]
+            root = np.sqrt(r * r + width * width)
+            total += root - width
+            g = r / root
+            gradient[j, c] += g
+            gradient[i, c] -= g
+    return total

@@ -6,6 +6,9 @@ own the fit; the Stokes parts are weighted by the slope of that same encoding, i
 
 from __future__ import annotations
 
+from typing import Any
+
+import numpy as np
 import torch
 
 GAMMA = 1 / 2.4  # sRGB's exponent
@@ -32,12 +35,27 @@ def robust(residual: torch.Tensor, width: float = CHARBONNIER) -> torch.Tensor:
 
 def radiance_loss(predicted: torch.Tensor, target: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:
     """L_rgb: weighted mean of the robust encoded difference; predicted, target [P, 3], weight [P]."""
-    return weighted_mean(robust(encode(predicted) - encode(_known(target, weight))).mean(-1), weight)
+    target = _known(target, weight)
+    if _fused(predicted, target, weight):
+        return _PixelLoss.apply("radiance_terms", predicted, target, weight)
+    return radiance_loss_plainly(predicted, target, weight)
+
+
+def radiance_loss_plainly(predicted: torch.Tensor, target: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:
+    """`radiance_loss` in torch: the definition."""
+    return weighted_mean(robust(encode(predicted) - encode(target)).mean(-1), weight)
 
 
 def stokes_loss(predicted: torch.Tensor, target: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:
     """L_pol for full Stokes data: s1 and s2 in units of encoded radiance; predicted, target [P, 3, 3], weight [P]."""
     target = _known(target, weight)
+    if _fused(predicted, target, weight):
+        return _PixelLoss.apply("stokes_terms", predicted, target, weight)
+    return stokes_loss_plainly(predicted, target, weight)
+
+
+def stokes_loss_plainly(predicted: torch.Tensor, target: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:
+    """`stokes_loss` in torch: the definition."""
     slope = encode_slope(target[:, :1])
     return weighted_mean(robust(slope * (predicted[:, 1:] - target[:, 1:])).mean((-1, -2)), weight)
 
@@ -57,4 +75,55 @@ def mask_loss(alpha: torch.Tensor, target: torch.Tensor, weight: torch.Tensor) -
 
     Relative to the object's area, so that empty margins do not dilute it.
     """
+    if _fused(alpha, target, weight):
+        return _CoverageLoss.apply(alpha, target, weight)
+    return mask_loss_plainly(alpha, target, weight)
+
+
+def mask_loss_plainly(alpha: torch.Tensor, target: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:
+    """`mask_loss` in torch: the definition."""
     return ((alpha - target).abs() * weight).sum() / target.sum().clamp_min(1.0)
+
+
+def _fused(predicted: torch.Tensor, target: torch.Tensor, weight: torch.Tensor) -> bool:
+    """Whether one pass of a kernel (numba, float32, CPU) gives a loss and its gradient in `predicted`, the only one wanted."""
+    tensors = (predicted, target, weight)
+    plain = all(t.device.type == "cpu" and t.dtype == torch.float32 for t in tensors)
+    return plain and not (target.requires_grad or weight.requires_grad)
+
+
+class _PixelLoss(torch.autograd.Function):
+    """A weighted mean over pixels whose kernel (of `pixel_kernels`) gives the sum and the gradient together."""
+
+    @staticmethod
+    def forward(ctx: Any, name: str, predicted: torch.Tensor, target: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:
+        from .. import pixel_kernels
+
+        arrays = [t.detach().contiguous().numpy() for t in (predicted, target, weight)]
+        gradient = np.empty_like(arrays[0])
+        total = getattr(pixel_kernels, name)(*arrays, *np.array((TOE, GAMMA, CHARBONNIER), np.float32), gradient)
+        share = 1 / max(float(arrays[2].sum(dtype=np.float64)), 1e-12)
+        ctx.gradient, ctx.share = torch.from_numpy(gradient), share
+        return torch.tensor(total * share, dtype=torch.float32)
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: torch.Tensor) -> tuple[None, torch.Tensor, None, None]:
+        return None, ctx.gradient * (gradients[0] * ctx.share), None, None
+
+
+class _CoverageLoss(torch.autograd.Function):
+    """`mask_loss` with its gradient in alpha in one pass."""
+
+    @staticmethod
+    def forward(ctx: Any, alpha: torch.Tensor, target: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:
+        from ..pixel_kernels import coverage_terms
+
+        arrays = [t.detach().contiguous().numpy().ravel() for t in (alpha, target, weight)]
+        gradient = np.empty_like(arrays[0])
+        total, area = coverage_terms(*arrays, gradient)
+        ctx.gradient, ctx.share = torch.from_numpy(gradient.reshape(alpha.shape)), 1 / max(area, 1.0)
+        return torch.tensor(total * ctx.share, dtype=torch.float32)
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: torch.Tensor) -> tuple[torch.Tensor, None, None]:
+        return ctx.gradient * (gradients[0] * ctx.share), None, None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -64,6 +64,17 @@ class View:
         centre = -rotation.T @ translation
         along = -(self.view_direction @ rotation[2])  # z per unit length of the viewing ray
         return centre - self.view_direction * (depth / along)[:, None]
+
+
+def thinned(view: View, chosen: torch.Tensor) -> View:
+    """The view with these of its counting pixels alone (indices into them, [K])."""
+    per_pixel = ("pixels", "target", "colour_weight", "inside", "view_direction", "frame_x", "frame_y")
+    return replace(view, **{name: getattr(view, name)[chosen] for name in per_pixel})
+
+
+def spread(count: int, wanted: int, rng: np.random.Generator) -> np.ndarray:
+    """`wanted` of 0 .. count - 1, ascending: one at random out of each of as many equal stretches."""
+    return np.minimum(((np.arange(wanted) + rng.random(wanted)) * (count / wanted)).astype(np.int64), count - 1)
 
 
 def prepare(source: SourceView, frame: SceneFrame, black: bool, device: str = "cpu", openings: bool = False) -> View:

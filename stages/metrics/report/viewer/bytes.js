@@ -1,5 +1,5 @@
 // Packed arrays of the page (packing.py) as typed arrays; half floats.
-const KINDS = {uint8: Uint8Array, uint16: Uint16Array, uint32: Uint32Array, int16: Int16Array, float32: Float32Array};
+const KINDS = {int8: Int8Array, uint8: Uint8Array, uint16: Uint16Array, uint32: Uint32Array, int16: Int16Array, float32: Float32Array};
 
 async function unpack(entry) {
   const raw = Uint8Array.from(atob(entry.data), c => c.charCodeAt(0));

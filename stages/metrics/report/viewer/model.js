@@ -1,6 +1,7 @@
 // Draws the model: mesh, environment behind it, photograph before it.
 const COARSE_CELLS = 48;  // along the box: about seven thousand triangles
 const SHOWN = ['relit', 'diffuse', 'specular', 'albedo', 'normal', 'roughness', 'ior', 'dolp', 'aolp'];
+const LIT = 'splats';  // beside the views of the mesh: the Gaussians under the captured light
 
 class Model {
   static async open(canvas, scene) {
@@ -23,11 +24,15 @@ class Model {
     };
     this.probe = gl.getExtension('EXT_color_buffer_float') ? new Probe(this, [...shading, 'probe.frag']) : null;
     await this.geometry(surface);
+    this.splats = scene.splats ? await Splats.open(this, scene.splats) : null;
+    const pictures = surface.pictures || {};
+    const [albedo, properties] = await Promise.all(['albedo', 'surface'].map(name => this.picture(pictures[name])));
     const [depth, height, width] = scene.mirror.shape, table = await unpack(scene.mirror);
     this.textures = {
       u_scales: [1, gl.TEXTURE_2D, scaleTexture(gl, [scene.scales.inferno, scene.scales.viridis])],
       u_mirror: [2, gl.TEXTURE_3D, texture(gl, gl.TEXTURE_3D, gl.LINEAR, () => gl.texImage3D(
         gl.TEXTURE_3D, 0, gl.RG16F, width, height, depth, 0, gl.RG, gl.HALF_FLOAT, table))],
+      u_albedo: [4, gl.TEXTURE_2D, albedo], u_surface: [5, gl.TEXTURE_2D, properties],
     };
     this.lights = new Map();
     this.photographs = new Map();
@@ -35,7 +40,9 @@ class Model {
 
   // The mesh's buffers, and two lists of triangles over them: all, and few for slow machines while something moves.
   async geometry(surface) {
-    const {gl} = this, parts = [['position', 3, gl.UNSIGNED_SHORT], ['normal', 2, gl.SHORT], ['albedo', 3, gl.UNSIGNED_BYTE], ['material', 2, gl.UNSIGNED_BYTE]];
+    const {gl} = this, parts = [
+      ['position', 3, gl.UNSIGNED_SHORT], ['normal', 2, gl.SHORT], ['albedo', 3, gl.UNSIGNED_BYTE], ['material', 3, gl.UNSIGNED_BYTE],
+      ...surface.pictures ? [['uv', 2, gl.UNSIGNED_SHORT], ['tangent', 3, gl.SHORT]] : []];
     const arrays = await Promise.all(parts.map(([name]) => unpack(surface[name]))), index = await unpack(surface.index);
     const buffers = arrays.map(data => this.buffer(gl.ARRAY_BUFFER, data));
     this.triangles = [index, coarseTriangles(arrays[0], index, minus(surface.high, surface.low), COARSE_CELLS)].map(list => {
@@ -68,6 +75,20 @@ class Model {
       this.lights.set(entry.name, {scale, entering, texture: lightTexture(this.gl, layers)});
     }
     return this.lights.get(entry.name);
+  }
+
+  // A texture of the surface from a data: URI; one texel where there is none. Charts lie four texels apart: two levels are clean.
+  async picture(uri) {
+    const {gl} = this, image = uri && new Image();
+    if (image) { image.src = uri; await image.decode(); }
+    return texture(gl, gl.TEXTURE_2D, gl.LINEAR, () => {
+      gl.pixelStorei(gl.UNPACK_COLORSPACE_CONVERSION_WEBGL, gl.NONE);
+      if (!image) { gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA8, 1, 1, 0, gl.RGBA, gl.UNSIGNED_BYTE, new Uint8Array(4)); return; }
+      gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA8, gl.RGBA, gl.UNSIGNED_BYTE, image);
+      gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAX_LEVEL, 2);
+      gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.LINEAR_MIPMAP_LINEAR);
+      gl.generateMipmap(gl.TEXTURE_2D);
+    });
   }
 
   async photograph(camera) {
@@ -105,10 +126,11 @@ class Model {
     gl.viewport(0, 0, canvas.width, canvas.height);
     gl.clearColor(0, 0, 0, 0);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
-    this.drawMesh(this.programs.show, values, coarse);
+    if (state.shown === LIT) this.splats.draw(values, place.eye);
+    else this.drawMesh(this.programs.show, values, coarse);
     const triangle = (program, more) => { program.use({...values, ...more}); gl.drawArrays(gl.TRIANGLES, 0, 3); };
     gl.depthFunc(gl.LEQUAL);
-    if (state.sky) triangle(this.programs.sky, {});
+    if (state.sky && state.shown !== LIT) triangle(this.programs.sky, {});
     if (photograph) {
       gl.disable(gl.DEPTH_TEST);
       gl.enable(gl.SCISSOR_TEST);
@@ -119,13 +141,13 @@ class Model {
     }
   }
 
-  // coarse: few triangles, and none that face away.
+  // coarse: few triangles, and none that face away; they reach over the seams of textures, so their vertices' colours do.
   drawMesh(program, values, coarse = false) {
     const {gl} = this, {array, count, kind} = this.triangles[coarse ? 1 : 0];
     gl.enable(gl.DEPTH_TEST);
     gl.depthFunc(gl.LESS);
     if (coarse) gl.enable(gl.CULL_FACE); else gl.disable(gl.CULL_FACE);
-    program.use(values);
+    program.use({...values, u_textured: this.scene.surface.pictures && !coarse ? 1 : 0});
     gl.bindVertexArray(array);
     gl.drawElements(gl.TRIANGLES, count, kind, 0);
     gl.bindVertexArray(null);

@@ -27,6 +27,7 @@ ModelViewer.prototype.listen = function () {
     const number = '123456789'.indexOf(event.key), pan = event.shiftKey && panned[event.key];
     if (pan) this.move(o => o.pan(...pan));
     else if (number >= 0) this.set({shown: SHOWN[number]});
+    else if (event.key === '0' && this.model.splats) this.set({shown: LIT});
     else if (keys[event.key]) keys[event.key]();
     else return;
     event.preventDefault();

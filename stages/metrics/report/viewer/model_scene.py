@@ -18,6 +18,7 @@ from pipeline.shading import splitsum
 from .light_data import light_entries, mirror_table
 from .photographs import camera_entries
 from .shading_constants import shading_constants
+from .splat_data import splat_entry
 from .surface_data import surface_entry
 
 IOR_SHOWN = (1.3, 2.3)  # ends of its colour scale, as in the report's pictures
@@ -36,7 +37,10 @@ def model_scene(run: StageRun) -> dict[str, Any] | None:
     maps = {environment_name(p): p for p in run.capture.environments}
     cameras, gain = camera_entries(run, turn)
     lights = light_entries(train / files.ENVIRONMENT, {n: p for n, p in sorted(maps.items()) if n in relit})
-    return scene_of(surface_entry(run.inputs["mesh"] / files.MESH, turn), lights, lobe, turn, cameras, gain)
+    mesh = run.inputs["mesh"]
+    scene = scene_of(surface_entry(mesh / files.MESH, turn, mesh / files.ASSET), lights, lobe, turn, cameras, gain)
+    splats = splat_entry(train / files.LIT_SPLATS, turn)
+    return scene if splats is None else {**scene, "splats": splats}
 
 
 def scene_of(

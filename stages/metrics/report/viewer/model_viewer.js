@@ -19,6 +19,7 @@ class ModelViewer {
   controls() {
     const shown = this.part('shown'), camera = this.part('camera');
     SHOWN.forEach((name, k) => shown.add(new Option(`${NAMES[name]}  (${k + 1})`, name)));
+    if (this.scene.splats) shown.add(new Option(`${NAMES[LIT]}  (0)`, LIT));
     camera.add(new Option('free', -1));
     const strip = this.part('strip');
     this.scene.cameras.forEach((c, k) => {

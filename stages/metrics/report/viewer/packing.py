@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-KINDS = {"uint8", "uint16", "uint32", "int16", "float32"}
+KINDS = {"int8", "uint8", "uint16", "uint32", "int16", "float32"}
 """Element types that the page's scripts read."""
 RGBE_BIAS = 136  # Ward's "Real Pixels" (Graphics Gems II, 1991): the exponent's excess of 128, and 8 bits of mantissa
 

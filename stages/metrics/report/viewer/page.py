@@ -8,8 +8,8 @@ from typing import Any
 
 FOLDER = Path(__file__).parent
 SCRIPTS = (
-    "bytes", "vectors", "octahedral", "prefilter", "hdr", "programs", "orbit", "gestures", "pace", "probe", "model", "readout",
-    "model_viewer", "model_input", "rig", "rig_viewer", "enlarge", "main",
+    "bytes", "vectors", "octahedral", "prefilter", "hdr", "programs", "orbit", "gestures", "pace", "probe", "splats", "model",
+    "readout", "model_viewer", "model_input", "rig", "rig_viewer", "enlarge", "main",
 )  # fmt: skip
 """In the order in which they need each other."""
 SHADERS = ("*.glsl", "*.vert", "*.frag")

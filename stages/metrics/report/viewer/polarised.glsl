@@ -25,8 +25,13 @@ Shaded shade(Material m, vec3 position) {
   vec3 size = vec3(textureSize(u_mirror, 0)), at = vec3(sqrt(c), r, (eta - u_mirror_ior.x) / (u_mirror_ior.y - u_mirror_ior.x));
   vec2 table = texture(u_mirror, (clamp(at, 0.0, 1.0) * (size - 1.0) + 0.5) / size).rg;
   Shaded s;
-  s.diffuse = transmitted * hemispherical(eta) / hemispherical(REFERENCE_IOR) / PI * m.albedo * entering(m.normal);
-  s.specular = reflected * table.x * mirrored(2.0 * facing * m.normal + ray, r);
+  // In a hollow that hides 1 - sky, the walls send back what they receive, again and again.
+  float enters = hemispherical(eta);
+  vec3 received = entering(m.normal) * m.sky / (1.0 - m.albedo * enters * (1.0 - m.sky));
+  s.diffuse = transmitted * enters / hemispherical(REFERENCE_IOR) / PI * m.albedo * received;
+  // Lagarde and de Rousiers (2014, 4.10.2): how much of the lobe the hollow leaves free; the walls are as bright as the body.
+  float free = clamp(pow(c + m.sky, exp2(-16.0 * r - 1.0)) - 1.0 + m.sky, 0.0, 1.0);
+  s.specular = reflected * table.x * mix(s.diffuse, mirrored(2.0 * facing * m.normal + ray, r), free);
   vec2 n = vec2(dot(m.normal, x), dot(m.normal, y));
   vec3 body = beta_d * s.diffuse - table.y * s.specular;
   s.s1 = (n.x - n.y) * (n.x + n.y) * body;

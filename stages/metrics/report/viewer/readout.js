@@ -1,7 +1,7 @@
 // Words: names of the views, the values under the pointer with their units, and what a colour means.
 const NAMES = {
   relit: 'relit', diffuse: 'body (diffuse)', specular: 'mirrored (specular)', albedo: 'albedo', normal: 'normals',
-  roughness: 'roughness', ior: 'index of refraction', dolp: 'degree of polarisation', aolp: 'angle of polarisation'};
+  roughness: 'roughness', ior: 'index of refraction', splats: 'splats under the captured light', dolp: 'degree of polarisation', aolp: 'angle of polarisation'};
 
 const digits = (values, count = 3) => values.map(x => x.toFixed(count)).join('  ');
 const figures = values => values.map(x => x.toPrecision(3)).join('  ');

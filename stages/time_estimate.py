@@ -1,0 +1,210 @@
+"""What each stage and each of its passes takes, before it runs: seconds of one core of the reference machine, and MiB added.
+
+Rates are per pixel, view, light, step or splat, found with the pinned libraries on the machine that
+`pipeline.engine.costs.probe` calls the reference (captures of 64 to 512 px, 16 to 40 views). What runs take on another machine,
+or of captures unlike those, is remembered there and corrects later estimates: these figures are where estimates begin. A stage
+that a capture has no use for is estimated as if it ran on as many pixels.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pipeline.capture import Capture
+from pipeline.capture.view_rules import TEST_EVERY
+from pipeline.engine.costs import COMPILING, ITSELF, Cost
+from stages.kept_kernels import compiling_s
+from stages.object_share import object_share
+
+Costs = dict[str, Cost]
+MEGA = 1e6
+LIGHTS = 346  # of a light stage that a capture is not: LSX3's
+LATE = 200  # steps of training before which nothing is traced
+
+
+def decode(capture: Capture, parameters: Any) -> Costs:
+    """Estimate decode: every picture is read, solved and written once; a light stage's frames are only looked through.
+
+    Args:
+        capture: as recognised.
+        parameters: of the stage.
+
+    Returns:
+        What the stage itself and each of its passes take, by name.
+    """
+    if capture.light_stage is not None:
+        frames = sum(len(c.frames) for c in capture.light_stage.cameras.values())
+        return {ITSELF: Cost(0.08 + 7e-4 * frames, 80.0), **_compiling("decode")}
+    files = sum(len(view.paths) for view in capture.views)
+    itself = 0.25 + 0.012 * files + 0.25 * _megapixels(capture) * files / max(1, len(capture.views))
+    return {ITSELF: Cost(itself, 195.0), **_compiling("decode")}
+
+
+def poses(capture: Capture, parameters: Any) -> Costs:
+    """Estimate poses: given cameras are a table; found ones are features and matches of pairs (past 150 views, neighbours).
+
+    Args:
+        capture: as recognised.
+        parameters: of the stage.
+
+    Returns:
+        What the stage itself and each of its passes take, by name.
+    """
+    views = max(1, len(capture.pixels))
+    pixels = min(_megapixels(capture), views * parameters.max_size**2 / MEGA)
+    pairs = views * (views - 1) / 2 if views <= 150 else 20 * views
+    found = 2.0 + 1.1 * pixels + 0.15 * pairs + 0.5 * views
+    return {
+        ITSELF: Cost(0.04, 80.0), "colmap": Cost(found, 300.0 + 60 * pixels / views), "triangulation": Cost(0.7 * found, 300.0),
+        "undistortion": Cost(0.6 * _megapixels(capture), 0.0),
+    }  # fmt: skip
+
+
+def masks(capture: Capture, parameters: Any) -> Costs:
+    """Estimate masks: given masks are read and compared with the visual hull; others are segmented by what all views agree on.
+
+    Args:
+        capture: as recognised.
+        parameters: of the stage.
+
+    Returns:
+        What the stage itself and each of its passes take, by name.
+    """
+    pixels = _megapixels(capture)
+    at_work = min(pixels, len(capture.pixels) * parameters.max_size**2 / MEGA)
+    itself = 0.4 if capture.light_stage is not None else 1.2 + 0.35 * pixels
+    return {ITSELF: Cost(itself, 100.0), "segmentation": Cost(2.0 + 6.5 * at_work, 130.0), **_compiling("masks")}
+
+
+def olat(capture: Capture, parameters: Any, compiled: bool) -> Costs:
+    """Estimate olat: fits of the object's pixels to the samples of every light, and the reading of all samples.
+
+    Args:
+        capture: as recognised.
+        parameters: of the stage.
+        compiled: whether the fits' machine code is kept.
+
+    Returns:
+        What the stage itself and each of its passes take, by name.
+    """
+    stage = capture.light_stage
+    lights = len(stage.lights) if stage is not None else LIGHTS
+    pixels, share = _megapixels(capture), object_share(capture)
+    one = 1.1 + 0.75 * lights  # s a megapixel of the object, on one core
+    fitted = pixels * share * one
+    general = {"closed": 1.0, "gradient": 0.3}.get(parameters.solver, 30.0)
+    return {
+        ITSELF: Cost(0.25 + 0.02 * pixels * lights + fitted * general, 160.0),
+        "overexposure": Cost(0.03 * fitted), "near light": Cost(0.15 * fitted, 12 * pixels * lights / 8),
+        "jax": Cost(3.0 + 29 * fitted, 400.0), "pixels outside the masks": Cost(pixels * (1 - share) * one, 124 * pixels),
+        **({} if compiled else {COMPILING: Cost(50.0, 350.0)}),
+    }  # fmt: skip
+
+
+def train(capture: Capture, parameters: Any) -> Costs:
+    """Estimate train: steps by object pixels and splats, the start from the hull, a G-buffer of every view at the end.
+
+    Args:
+        capture: as recognised.
+        parameters: of the stage.
+
+    Returns:
+        What the stage itself and each of its passes take, by name.
+    """
+    views = max(1, len(capture.pixels))
+    pixels, share = _megapixels(capture), object_share(capture)
+    seen = pixels / views * share  # megapixels of the object in a view
+    splats = min(parameters.max_splats, 4 * seen * MEGA / parameters.splat_pixels**2)  # a ball's surface is four times its disc
+    steps, tests = parameters.iterations, views / TEST_EVERY
+    shading = 2.4 * MIRRORS.get(parameters.mirror, 1.0)  # s a megapixel
+    step = 0.008 + shading * seen + 1.9e-6 * splats
+    unknown = sum(p.angle_deg is None or not p.trusted for p in capture.polarisers.values()) or 1
+    starts = 4 ** min(unknown, 2)
+    late = max(steps - LATE, 0)
+    return {
+        ITSELF: Cost(6.0 + steps * step + views * (0.25 + 6 * seen) + 0.3 * tests, 650.0 + 100 * pixels + 3e-3 * splats),
+        "indirect": Cost(late * (0.012 + 1.0 * seen) + 1.0, 60.0),
+        "concavities": Cost(9.0 if late else 0.0, 40.0),
+        "polariser_angles": Cost(1.5 + 0.012 * (60 * starts + 80 * 5 + 100 * 2), 25.0 * starts),
+        "polarisation_loss": Cost(0.1 * steps * step, 24 * pixels * share),
+        "start_from_points": Cost(0.5, 5.0),
+        "pixels outside the masks": Cost(steps * shading * pixels / views * (1 - share), 100 * pixels * (1 - share)),
+        **_compiling("train"),
+    }  # fmt: skip
+
+
+MIRRORS = {"split": 0.5, "lobe-4": 0.7, "lobe-12": 1.0, "lobe-24": 1.5}
+"""Time of an object's pixel by `mirror`, beside the default's."""
+
+
+def mesh(capture: Capture, parameters: Any) -> Costs:
+    """Estimate mesh: depths of all views in voxels, the surface's triangles, its textures.
+
+    Args:
+        capture: as recognised.
+        parameters: of the stage.
+
+    Returns:
+        What the stage itself and each of its passes take, by name.
+    """
+    views = max(1, len(capture.pixels))
+    pixels, share = _megapixels(capture), object_share(capture)
+    around = 4 * pixels / views * share  # megapixels of the object's whole surface
+    fine = min(1.0, 1 / parameters.voxel_px**2)
+    return {
+        ITSELF: Cost(3.0 + 2.0 * pixels + 160 * around * fine, 390.0 + 55 * pixels),
+        "textures": Cost(2.0 + 90 * around / parameters.texel_px**2, 200 * around),
+        "poisson": Cost(2.5 * 4 ** (parameters.poisson_depth - 8) + 40 * around, 150.0),
+    } | _compiling("mesh")
+
+
+def relight(capture: Capture, parameters: Any) -> Costs:
+    """Estimate relight: every view under every map.
+
+    Args:
+        capture: as recognised.
+        parameters: of the stage.
+
+    Returns:
+        What the stage itself and each of its passes take, by name.
+    """
+    maps = max(1, len(capture.environments) + bool(parameters.lights))
+    pixels, views = _megapixels(capture), len(capture.pixels)
+    share = object_share(capture)
+    if capture.light_stage is not None:
+        frames = pixels * len(capture.light_stage.lights)
+        return {ITSELF: Cost(0.5 + 0.2 * maps + 0.15 * frames + 1.0 * maps * pixels * share, 220.0), **_compiling("relight")}
+    tree = parameters.mirror.startswith("tree")
+    lit = pixels * share * maps
+    return {
+        ITSELF: Cost(2.0 + 0.06 * views + 0.9 * maps + lit * (14 if tree else 4), 500.0 + 3.5 * parameters.cube),
+        "indirect": Cost(1.5 + 3 * lit, 80.0),
+        "turntable": Cost(0.15 * maps * max(1, parameters.turntable), 20.0), **_compiling("relight"),
+    }  # fmt: skip
+
+
+def metrics(capture: Capture, parameters: Any) -> Costs:
+    """Estimate metrics: figures of the test views, the truth's, and the report with its pictures and what one turns in it.
+
+    Args:
+        capture: as recognised.
+        parameters: of the stage.
+
+    Returns:
+        What the stage itself and each of its passes take, by name.
+    """
+    pixels, views = _megapixels(capture), len(capture.pixels)
+    if capture.light_stage is not None:
+        return {ITSELF: Cost(2.2 + 3.0 * pixels, 95.0)}
+    maps = len(capture.environments)
+    solid = 1.5 if capture.truth.mesh.is_file() else 0.0
+    return {ITSELF: Cost(5.0 + 1.2 * pixels * (1 + maps / TEST_EVERY) + 0.05 * views + solid, 150.0)}
+
+
+def _compiling(stage: str) -> Costs:
+    seconds = compiling_s(stage)
+    return {COMPILING: Cost(seconds, 150.0)} if seconds else {}
+
+
+def _megapixels(capture: Capture) -> float:
+    return sum(capture.pixels) / MEGA
