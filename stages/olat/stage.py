@@ -85,7 +85,7 @@ def run(stage: StageRun) -> None:
 
 STAGE = Stage(
     name="olat",
-    version=10,
+    version=11,
     parameters=OlatParameters,
     needs=("decode", "masks"),
     needed=needed,
