@@ -28,9 +28,6 @@ STEP_RULES = {
 LAST_RATE = 0.03  # learning rates at the end, of those at the start: the last steps average over views
 LAST_ENVIRONMENT_RATE = 0.1  # the same of the environment, which few pixels of each view tell about
 WARM_UP, FIRST_RATE = 0.02, 0.1  # share of the run over which rates rise to theirs, and where from: Adam's moments are young
-# The light begins as grey everywhere, a factor of ten from lamps and shade: it is hurried there, before normals bend to
-# explain what it does not yet. Factor of its rate at first, and steps after which there is none.
-LIGHT_RATE, LIGHT_FIRST = 3.0, 80
 DIFFUSE_UNTIL = 0.7  # share of the run after which updates are no longer diffused, so that detail is free to settle
 
 
@@ -50,14 +47,13 @@ def cosine(start: float, end: float, t: float) -> float:
     return end + (start - end) * 0.5 * (1 + math.cos(math.pi * min(max(t, 0.0), 1.0)))
 
 
-def phase_at(done: float, coarse: float, consolidate: float, step: int) -> Phase:
-    """The phase at step `step`, a fraction `done` of the run."""
+def phase_at(done: float, coarse: float, consolidate: float) -> Phase:
+    """The phase at a fraction `done` of the run."""
     decay = cosine(1.0, LAST_RATE, done)
     warm = min(1.0, done / WARM_UP + FIRST_RATE)
-    light = 1 + (LIGHT_RATE - 1) * max(0.0, 1 - step / LIGHT_FIRST)
     return Phase(
         level=1 if done < coarse else 0,
-        rates={"": decay * warm, "environment": light * cosine(1.0, LAST_ENVIRONMENT_RATE, done)},
+        rates={"": decay * warm, "environment": cosine(1.0, LAST_ENVIRONMENT_RATE, done)},
         diffusion=max(0.0, 1 - done / DIFFUSE_UNTIL),
         every_view=done >= 1 - consolidate,
     )

@@ -83,7 +83,7 @@ class Trainer:
     def phase(self, iteration: int) -> Phase:
         """The schedule's settings at a step."""
         p = self.parameters
-        return phase_at(iteration / p.iterations, p.coarse_fraction, p.consolidate_fraction, iteration)
+        return phase_at(iteration / p.iterations, p.coarse_fraction, p.consolidate_fraction)
 
     def view_at(self, iteration: int, phase: Phase) -> View:
         """The training view of a step: every view once an epoch, in an order that seed and epoch fix."""
