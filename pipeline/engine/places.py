@@ -32,6 +32,8 @@ def existing_dataset(capture: str, dataset: str, command: str = "gc") -> Dataset
     if not capture and not dataset:
         call = f"make {command} DATASET=folder" if command in ("gc", "verify") else f"polarfield {command} --dataset=folder"
         raise UserError("DATASET", "no dataset was given", f"as in `{call}`")
+    if not dataset:
+        _refuse_a_dataset_as_capture(Path(capture))
     found = Dataset(Path(dataset) if dataset else Path("datasets") / Path(capture).absolute().name)
     if not found.exists:
         fault = "is not a dataset (it has no dataset.json)" if found.root.is_dir() else "no such dataset"

@@ -12,7 +12,7 @@ from .light_tree import LightTree
 
 CONCENTRATION = 4.0
 """How many times an even environment's share of light a texel holds, to count as bright: a clear sky's half holds two."""
-MOST_TEXELS = 64
+MOST_TEXELS = 64  # at least two leaves each
 MOST_LEAVES = 128
 """A half-shadow of an even lamp in as many steps is as fine as 7 bits."""
 NARROW = np.radians(0.5) ** 2

@@ -175,6 +175,7 @@ def test_capture_and_dataset_mixed_up_are_told_apart(command, refused, capture, 
     command("all", capture.root, "--dataset", "d")
     before = sorted(capture.root.rglob("*"))
     assert "is a dataset, not a capture" in refused("all", "d")
+    assert "give DATASET=d" in refused("verify", "d")  # a call that reads no capture takes it as one all the same
     assert "is a capture, not a dataset" in refused("all", "--dataset", capture.root)
     assert "is a capture, not a dataset" in refused("all", capture.root, "--dataset", other)
     assert "the capture itself" in refused("all", capture.root, "--dataset", capture.root)
