@@ -15,6 +15,7 @@ $(foreach name,$(.VARIABLES),$(if $(filter command,$(origin $(name))),$(if $(fil
 # Values are what the user wrote: make itself would expand a $ in them.
 $(foreach name,$(VARIABLES),$(eval override $(name) := $$(value $(name))))
 BIN := $(VENV)/bin
+INSTALLED := $(VENV)/.installed
 READY := $(VENV)/.ready
 
 # Through the environment, so that the shell takes every value as it stands: paths with spaces, quotes in ENVS= and PARAMS=.
@@ -39,10 +40,14 @@ gc: $(READY)
 
 setup: $(READY)  ## the environment alone
 
-$(READY): pyproject.toml constraints.txt tools/system_libraries.sh
+# Of the packages' 20 000 files few are ever imported: byte code is made at the first import, not for all of them here.
+$(INSTALLED): pyproject.toml constraints.txt tools/system_libraries.sh
 	@bash tools/system_libraries.sh
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --quiet --disable-pip-version-check --constraint constraints.txt --editable '.[test]'
+	$(BIN)/python -m pip install --quiet --quiet --no-compile --disable-pip-version-check --constraint constraints.txt --editable '.[test]'
+	@touch $@
+
+$(READY): $(INSTALLED)
 	$(BIN)/python -m stages.olat.compile
 	@touch $@
 
@@ -53,12 +58,13 @@ demo: $(READY)  ## a tiny synthetic capture through every stage
 	@echo "reports: $$DEMO/views/metrics/current/report.html and $$DEMO/stage/metrics/current/report.html"
 
 # One thread for each test, as many at once as there are cores: their arrays are small, and threads that wait for each other cost
-# three times the time.
-TESTS = OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal
+# three times the time. The tests of a file stay together (tests/conftest.py).
+TESTS = OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile
 
-test: $(READY) lint  ## everything, fast tests first
-	$(TESTS) -m "not slow"
-	$(TESTS) -m slow
+# mypy and the compilation of the fits take a minute of one core each.
+test: $(INSTALLED)  ## everything; `test-fast` first tells soon what is wrong
+	@$(MAKE) --no-print-directory --jobs=2 --output-sync=target lint $(READY)
+	$(TESTS)
 
 test-fast: $(READY)  ## under a minute
 	$(TESTS) -m "not slow"
@@ -67,7 +73,7 @@ test-fast: $(READY)  ## under a minute
 crash-test: $(READY)  ## stop small runs before each of their changes to the disk; needs a C compiler
 	OMP_NUM_THREADS=1 $(BIN)/python tests/crash/points.py
 
-lint: $(READY)  ## ruff (rules and format) and mypy
+lint: $(INSTALLED)  ## ruff (rules and format) and mypy
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy

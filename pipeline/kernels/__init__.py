@@ -16,6 +16,10 @@ Freshly compiled or loaded, a kernel gives the same bits: it holds its own copie
 mended: with `parallel=True`, the light tree's gradient in the viewing direction still differs in its last bits between the
 process that compiles it and those that load it; compiled without, it does not.
 
+What Python calls and what kernels call is compiled apart. A kernel that another one calls is compiled as a twin, without the
+wrapper that only Python needs, and gets no machine code of its own (`on_demand`): with many small kernels below each other, as
+in the fits of the light stage, a third of the time went there. Tests may still call it: then it is compiled for Python too.
+
 What the rule cannot see, so do not do it: constants read from data files, modules imported by a computed name, a module that
 another one changes from outside. Two kernels of one file must not share a qualified name (`kernel` refuses the second).
 

@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numba
 from numba.core import event
 
-from pipeline.kernels import freshness, linking, storage
+from pipeline.kernels import freshness, linking, on_demand, storage
 
 linking.install()
+on_demand.install()
 
 _NUMBAS_OWN = "UserProvidedCacheLocator,InTreeCacheLocator,UserWideCacheLocator,IPythonCacheLocator,ZipCacheLocator"
+_FROM_PYTHON = {"no_cfunc_wrapper": True}  # which is for calls from C
+_FROM_KERNELS = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 _config: Any = numba.config  # its settings are made at run time
 _here = threading.local()  # .function: the kernel that this thread is decorating
 _decorating = threading.Lock()
@@ -47,15 +51,27 @@ def kernel(function: Callable[..., Any] | None = None, *, allocates: bool = True
         options["_nrt"] = False
     file = Path(function.__code__.co_filename)
     folder = storage.place()
-    if folder is None or not file.is_file() or not freshness.settled(file):
-        return numba.njit(**options)(function)
+    kept = folder is not None and file.is_file() and freshness.settled(file)
     this = function.__code__.co_firstlineno, options
-    if _made.setdefault((str(file), function.__qualname__), this) != this:
+    if kept and _made.setdefault((str(file), function.__qualname__), this) != this:
         raise TypeError(f"{file}:{this[0]}: {function.__qualname__} is a kernel already, or one with other options: rename one")
-    with _located(function):
-        compiled = numba.njit(cache=True, **options)(function)
-    if hasattr(compiled, "stats") and compiled.stats.cache_path != str(folder):  # with NUMBA_DISABLE_JIT it is the function
+
+    def made(called_by: dict[str, bool], kind: str = "") -> Any:
+        with _located(function, kind) if kept else nullcontext():
+            return numba.njit(cache=kept, **called_by, **options)(function)
+
+    compiled = made(_FROM_PYTHON)
+    if kept and hasattr(compiled, "stats") and compiled.stats.cache_path != str(folder):  # with NUMBA_DISABLE_JIT: the function
         raise RuntimeError(f"numba keeps {function.__qualname__} in {compiled.stats.cache_path}: its rules changed")
+    return _with_twin(compiled, lambda: made(_FROM_KERNELS, "inner-"))
+
+
+def _with_twin(compiled: Any, make: Callable[[], Any]) -> Any:
+    """Have other kernels call a kernel's twin, `compiled.twin()`: the same, without the wrapper that only Python needs."""
+    if hasattr(compiled, "get_call_template"):  # with NUMBA_DISABLE_JIT it is the function
+        compiled.twin = twin = cache(make)
+        compiled.get_call_template = lambda arguments, named: twin().get_call_template(arguments, named)
+        compiled.get_overload = lambda signature: twin().get_overload(signature)
     return compiled
 
 
@@ -65,10 +81,10 @@ def compile_seconds() -> float:
 
 
 @contextmanager
-def _located(function: Callable[..., Any]) -> Any:
+def _located(function: Callable[..., Any], kind: str = "") -> Any:
     """Have numba ask `Locator` where the code of `function` lies (its setting NUMBA_CACHE_LOCATOR_CLASSES, for this call)."""
     with _decorating:
-        before, _here.function = _config.CACHE_LOCATOR_CLASSES, function
+        before, _here.function, _here.kind = _config.CACHE_LOCATOR_CLASSES, function, kind
         _config.CACHE_LOCATOR_CLASSES = f"{__name__}.{Locator.__name__},{before or _NUMBAS_OWN}"
         try:
             yield
@@ -79,8 +95,9 @@ def _located(function: Callable[..., Any]) -> Any:
 class Locator:
     """Where numba keeps a kernel's code: the interface of its cache locators."""
 
-    def __init__(self, file: Path, folder: Path) -> None:
+    def __init__(self, file: Path, folder: Path, kind: str) -> None:  # kind: of the twin, its mark in the file's name
         self._py_file = str(file)  # numba names it in a warning
+        self.kind = kind
         self.folder, self.name, self.digest = folder, freshness.dotted(file), freshness.digest(file)
         storage.claim(folder, self.name, self.digest)
 
@@ -89,7 +106,7 @@ class Locator:
         """The locator of a kernel; None, for numba to ask the next class, of any other function."""
         folder = storage.place()
         ours = py_func is getattr(_here, "function", None)
-        return cls(Path(py_file), folder) if ours and folder is not None else None
+        return cls(Path(py_file), folder, _here.kind) if ours and folder is not None else None
 
     def ensure_cache_path(self) -> None:
         """Make the folder."""
@@ -105,4 +122,4 @@ class Locator:
 
     def get_disambiguator(self) -> str:
         """Part of the file's name: with the digest in it, no process ever writes over another state's code."""
-        return storage.label(self.name, self.digest)
+        return self.kind + storage.label(self.name, self.digest)

@@ -20,7 +20,8 @@ def make(tmp_path):
     script.parent.mkdir()
     script.write_text('#!/bin/sh\nprintf "%s\\n" "$@"\n')
     script.chmod(0o755)
-    (tmp_path / ".ready").touch()  # newer than what it depends on
+    for done in (".installed", ".ready"):  # newer than what they depend on
+        (tmp_path / done).touch()
     environment = {k: v for k, v in os.environ.items() if k not in ("MAKEFLAGS", "CAPTURE", "DATASET", "PARAMS", "ENVS")}
 
     def call(*arguments: str) -> subprocess.CompletedProcess[str]:

@@ -39,6 +39,14 @@ def trees() -> dict[str, tuple[Path, ast.Module, str]]:
     return found
 
 
+@pytest.fixture(scope="module", autouse=True)
+def _forget() -> Iterator[None]:
+    """Millions of syntax nodes that stay would slow down what this process tests next: the garbage collector visits them."""
+    yield
+    for kept in (trees, names_of, definitions):
+        kept.cache_clear()
+
+
 def room(module: str) -> str:
     return ".".join(module.split(".")[:2])
 

@@ -11,7 +11,7 @@ import numba
 import numpy as np
 import pytest
 
-from pipeline.kernels import compiling, freshness, storage
+from pipeline.kernels import compiling, freshness, on_demand, storage
 from pipeline.kernels.compiling import compile_seconds, kernel
 from tests.kernels.conftest import finished
 
@@ -68,10 +68,39 @@ def test_options_reach_numba_as_they_are() -> None:
     def plain(x):
         return x
 
-    always = {"nopython": True, "boundscheck": None}
+    always = {"nopython": True, "boundscheck": None, "no_cfunc_wrapper": True}
     assert some.targetoptions == {"nogil": True, "fastmath": {"contract", "nsz"}, "error_model": "numpy", **always}
     assert lean.targetoptions == {"_nrt": False, **always}
     assert plain.targetoptions == always
+
+
+def test_a_kernel_called_by_another_has_no_machine_code_of_its_own_until_python_calls_it(tmp_path, monkeypatch) -> None:
+    """numba: Dispatcher.get_call_template and get_overload; JITCodeLibrary._finalize_final_module, set_env"""
+    monkeypatch.setattr(storage, "place", lambda: None)
+    text = "from pipeline.kernels.compiling import kernel\n\n"
+    text += "@kernel\ndef part(x):\n    if x < 0:\n        raise ValueError('below', x)\n    return 2 * x\n\n"
+    text += "@kernel\ndef whole(x):\n    return part(x) + 1\n"
+    module = _module(tmp_path / "called.py", text)
+    assert module.whole(3) == 7
+    inner = next(iter(module.part.twin().overloads.values())).library
+    assert not on_demand.made(inner) and on_demand.made(next(iter(module.whole.overloads.values())).library)
+    assert not module.part.overloads
+    with pytest.raises(ValueError, match="below"):
+        module.whole(-1)
+    assert module.part(3) == 6
+    assert inner.get_pointer_to_function(next(iter(module.part.twin().overloads.values())).fndesc.llvm_func_name) > 0
+    assert on_demand.made(inner)
+
+
+@pytest.mark.slow
+def test_another_process_takes_over_what_kernels_were_compiled_from(checkout) -> None:
+    text = "from pipeline.kernels.compiling import kernel\n\n@kernel\ndef part(x):\n    return 2 * x\n\n"
+    checkout.write("part.py", text)
+    for name in ("one", "other"):
+        checkout.write(f"{name}.py", f"from part import part\n{text.replace('part', name).replace('2 * x', 'part(x) + 1')}")
+    show = "import sys\nsys.path.insert(0, '.')\nfrom {0} import {0}, part\n"
+    show += "print({0}(2), sum(part.twin().stats.cache_hits.values()), sum({0}.stats.cache_hits.values()))"
+    assert [checkout.run(show.format(name)) for name in ("one", "other", "one")] == ["5 0 0", "5 1 0", "5 0 1"]
 
 
 @pytest.mark.slow

@@ -90,7 +90,7 @@ values = {
     "object file": value, "mesh": fusion_kernel.probe(), "masks": volume.probe(),
 }
 kernels = {
-    "capture": exr_kernels.place_halves, "shading": shade_kernels._entering, "rasteriser": kernel_block.capped_alpha,
+    "capture": exr_kernels.place_halves, "shading": shade_kernels._entering, "rasteriser": kernel_block.capped_alpha.twin(),
     "olat": separation._finite, "mesh": fusion_kernel.probe, "masks": volume.probe,
 }
 compilations = {name: sum(one.stats.cache_misses.values()) for name, one in kernels.items()} | {"object file": compiled}
