@@ -13,19 +13,20 @@ import pytest
 FOLDERS = ("tests/end_to_end",)  # their files share the datasets of `conftest.py` there: they stay together too
 LONGEST = (
     "tests/end_to_end",
-    "tests/train/test_scales.py",
     "tests/olat/test_recovery.py",
-    "tests/train/test_training.py",
-    "tests/train/test_concavity.py",
+    "tests/train/test_scales.py",
     "tests/olat/test_solvers.py",
     "tests/engine/test_cluster.py",
     "tests/calib/test_poses.py",
     "tests/capture/test_fuzz.py",
     "tests/kernels/test_stale.py",
+    "tests/train/test_training.py",
+    "tests/train/test_concavity.py",
     "tests/engine/test_interrupts.py",
     "tests/crash",
 )
-"""From minutes of processor time down to a quarter of one: begun last, one of them would keep a single core at work."""
+"""From minutes of processor time down to a quarter of one: begun last, one of them would keep a single core at work. Neighbours
+here run at the same time, so they are such that do not compile the same kernels."""
 
 
 def unit_of(test: str) -> str:
@@ -48,6 +49,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def pytest_collection_finish() -> None:
     """Spare the garbage collector what is imported and collected: none of it goes before the end."""
     gc.freeze()
+
+
+def pytest_unconfigure() -> None:
+    """At its end OpenImageIO complains of what was not collected."""
+    gc.unfreeze()
 
 
 @pytest.hookimpl(optionalhook=True)

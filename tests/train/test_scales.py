@@ -95,11 +95,11 @@ def world_points(trainer: Trainer, scale: float) -> np.ndarray:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("sun", "scale"), [(20.0, 1e4), (1e5, 1e-3)])
-def test_hollows_and_openings_are_found_at_every_scale_and_under_a_strong_sun(sun, scale):
-    # Measured: 0.125, 0.176, 0.196 of the surface hollowed (sun 20; 1e5 at scales 1, 1e-3), a third to a half of it the dent,
-    # whose floor is missed by 0.05 to 0.09 of 0.3.
-    here, there = pot_trained(sun, 1.0), pot_trained(sun, scale)
+@pytest.mark.parametrize("scale", [1e4, 1e-3])
+def test_hollows_and_openings_are_found_at_every_scale_and_under_a_strong_sun(scale):
+    # Measured: 0.143, 0.132, 0.142 of the surface hollowed (scales 1, 1e4, 1e-3), a third to a half of it the dent, whose floor
+    # is missed by 0.05 to 0.09 of 0.3. Under a sun of 20 it is test_concavity's dent that is found.
+    here, there = pot_trained(1e5, 1.0), pot_trained(1e5, scale)
     assert there.upkeep.hollowed[0] > 0.1
     assert there.upkeep.hollowed[0] == pytest.approx(here.upkeep.hollowed[0], rel=0.25)
     assert all(torch.isfinite(value).all() for value in there.scene.tensors().values())
