@@ -18,8 +18,8 @@ linking.install()
 on_demand.install()
 
 _NUMBAS_OWN = "UserProvidedCacheLocator,InTreeCacheLocator,UserWideCacheLocator,IPythonCacheLocator,ZipCacheLocator"
-_FROM_PYTHON = {"no_cfunc_wrapper": True}  # which is for calls from C
-_FROM_KERNELS = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+_FROM_PYTHON: dict[str, Any] = {"no_cfunc_wrapper": True}  # which is for calls from C
+_FROM_KERNELS: dict[str, Any] = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
 _config: Any = numba.config  # its settings are made at run time
 _here = threading.local()  # .function: the kernel that this thread is decorating
 _decorating = threading.Lock()
@@ -56,7 +56,7 @@ def kernel(function: Callable[..., Any] | None = None, *, allocates: bool = True
     if kept and _made.setdefault((str(file), function.__qualname__), this) != this:
         raise TypeError(f"{file}:{this[0]}: {function.__qualname__} is a kernel already, or one with other options: rename one")
 
-    def made(called_by: dict[str, bool], kind: str = "") -> Any:
+    def made(called_by: dict[str, Any], kind: str = "") -> Any:
         with _located(function, kind) if kept else nullcontext():
             return numba.njit(cache=kept, **called_by, **options)(function)
 
