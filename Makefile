@@ -59,7 +59,7 @@ demo: $(READY)  ## a tiny synthetic capture through every stage
 
 # One thread for each test, as many at once as there are cores: their arrays are small, and threads that wait for each other cost
 # three times the time. The tests of a file stay together (tests/conftest.py).
-TESTS = OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile
+TESTS = OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 $(BIN)/python -m pytest -n logical --dist loadfile
 
 # mypy and the compilation of the fits take a minute of one core each.
 test: $(INSTALLED)  ## everything; `test-fast` first tells soon what is wrong
