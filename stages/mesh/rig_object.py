@@ -20,11 +20,12 @@ from pipeline.rig.object_rendering import LOBE
 from .clean import Mesh, in_fixed_order, largest_pieces, subdivided, without_slivers
 from .refine import following_normals
 from .rig_surface.atlas_maps import STANDARD_DEVIATIONS, write_rig_asset
-from .rig_surface.depths import find_depths
+from .rig_surface.belief import believed
+from .rig_surface.depths import find_depths, supports
 from .rig_surface.disagreement import disagreement, write_disagreement
 from .rig_surface.read_maps import Rig
 from .rig_surface.sights import Sight, Sights
-from .rig_surface.surface import believed, chords, extracted, fused_volume, hull_of, silhouettes_of
+from .rig_surface.surface import chords, extracted, fused_volume, hull_of, silhouettes_of
 from .rig_surface.unseen import smoothed_where_unseen
 from .rig_surface.vertex_maps import SurfacePoints, camera_values, filled, fused_maps
 
@@ -82,11 +83,16 @@ def find_surface(run: StageRun, rig: Rig) -> tuple[Mesh, float]:
     voxel = max(p.voxel_px * foot, float((high - low).max()) / p.max_voxels)
     spans = [chords(view, hull) for view in views]
     run.progress.say("mesh: looking for the surface on which the cameras' normals agree")
-    distances = believed(views, find_depths(views, spans), spans, SLACK * foot)
-    field, corner = fused_volume(views, distances, hull, voxel, TRUNCATION * voxel, p.grazing)
-    mesh = largest_pieces(without_slivers(extracted(field, corner, voxel)), p.component_pct / 100)
-    if not len(mesh.faces):
-        raise UserError(run.inputs["olat"], "the cameras' maps have no surface in common", "check the masks and the cameras")
+    known = None
+    for _ in range(2):  # the second time every camera sets out from what all of them made
+        distances = find_depths(views, spans, known)
+        distances = believed(views, distances, supports(views, distances), spans, SLACK * foot)
+        field, corner = fused_volume(views, distances, hull, voxel, TRUNCATION * voxel, p.grazing)
+        mesh = largest_pieces(without_slivers(extracted(field, corner, voxel)), p.component_pct / 100)
+        if not len(mesh.faces):
+            raise UserError(run.inputs["olat"], "the cameras' maps share no surface", "check the masks and the cameras")
+        solid = RayMesh(mesh.vertices, mesh.faces)
+        known = [solid.distance(view.camera.centre, view.camera.rays()).astype(np.float64) for view in views]
     return in_fixed_order(mesh), voxel
 
 
