@@ -17,15 +17,16 @@ from pipeline.errors import UserError
 from pipeline.formats.images import read_image, write_exr, write_png
 from pipeline.formats.ply import Ply
 from pipeline.geometry.cameras import Camera, camera_from_opengl, frame_of
+from pipeline.geometry.mesh import Mesh
 from pipeline.rig.object_rendering import RigObject
-from stages.mesh.clean import Mesh, subdivided
+from pipeline.rig.surface.belief import believed
+from pipeline.rig.surface.depths import find_depths, supports
+from pipeline.rig.surface.map_view import MapView
+from pipeline.rig.surface.volume import chords, hull_of, inscribed_radii, silhouettes_of
+from stages.mesh.clean import subdivided
 from stages.mesh.parameters import MeshParameters
 from stages.mesh.rig_object import make_rig_mesh
-from stages.mesh.rig_surface.belief import believed
-from stages.mesh.rig_surface.depths import find_depths, supports
-from stages.mesh.rig_surface.map_view import MapView
 from stages.mesh.rig_surface.sights import square_slopes
-from stages.mesh.rig_surface.surface import chords, hull_of, inscribed_radii, silhouettes_of
 from stages.mesh.rig_surface.unseen import smoothed_where_unseen
 from stages.mesh.rig_surface.vertex_maps import CameraValues, fused_maps
 from synth.orbit import look_at

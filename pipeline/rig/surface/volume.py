@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from pipeline.geometry import fusion_kernel
+from pipeline.geometry.mesh import Mesh
 from pipeline.geometry.silhouette_hull import Silhouette, bounds, grid, occupancy, signed_distance
 
-from .. import fusion_kernel
-from ..clean import Mesh
 from .map_view import MapView
 
 Float = NDArray[np.float64]
