@@ -30,23 +30,43 @@ def believed(
     within = [
         (d > 0) & (near > 0) & (d > near - 2 * slack) & (d < far + 2 * slack) for d, (near, far) in zip(distances, hull_chords)
     ]
-    lost = [np.zeros(each.shape, bool) for each in within]
+    shapes = [each.shape for each in within]
+    firsts = np.cumsum([0, *(each.size for each in within)])
+    hiding, hidden = [], []  # numbers of pixels, over all cameras, of which one would hide the other
     for k, view in enumerate(views):
         rows, columns = np.nonzero(within[k])
         points = view.camera.centre + view.camera.rays()[rows, columns] * distances[k][rows, columns][:, None]
-        mine = supports[k][rows, columns]
+        mine = firsts[k] + rows * shapes[k][1] + columns
         for j, other in enumerate(views):
             if j == k:
                 continue
-            at, hidden = _hiding(other, np.where(within[j], distances[j], 0.0), points, slack)
-            theirs = supports[j][at]
-            worse = hidden & (mine < theirs)
-            lost[k][rows[worse], columns[worse]] = True
-            better = hidden & ~worse
-            lost[j][at[0][better], at[1][better]] = True
+            at, clash = _hiding(other, np.where(within[j], distances[j], 0.0), points, slack)
+            hiding.append(mine[clash])
+            hidden.append((firsts[j] + at[0] * shapes[j][1] + at[1])[clash])
+    gone = _beaten(np.concatenate(hiding), np.concatenate(hidden), np.concatenate([s.ravel() for s in supports]))
     # points that fall on a camera whose pixels are finer leave gaps between them
-    lost = [ndimage.binary_closing(each, np.ones((3, 3))) for each in lost]
-    return [np.where(each & ~gone, distance, 0.0) for each, gone, distance in zip(within, lost, distances)]
+    lost = [
+        ndimage.binary_closing(gone[first : first + size[0] * size[1]].reshape(size), np.ones((3, 3)))
+        for first, size in zip(firsts, shapes)
+    ]
+    return [np.where(each & ~out, distance, 0.0) for each, out, distance in zip(within, lost, distances)]
+
+
+def _beaten(ones: NDArray[np.int64], others: NDArray[np.int64], support: Float) -> NDArray[np.bool_]:
+    """Which pixels [N] go, where of each pair of pixels one must: those of less support than one that stays itself."""
+    rank = np.empty(len(support), np.int64)
+    rank[np.argsort(support, kind="stable")] = np.arange(len(support))
+    first = rank[ones] >= rank[others]
+    winner, loser = np.where(first, ones, others), np.where(first, others, ones)
+    lost = np.zeros(len(support), bool)
+    while len(winner):
+        doubted = np.zeros(len(support), bool)
+        doubted[loser] = True
+        settled = ~doubted[winner]  # the best of all that are left always is
+        lost[loser[settled]] = True
+        left = ~settled & ~lost[winner] & ~lost[loser]
+        winner, loser = winner[left], loser[left]
+    return lost
 
 
 def _hiding(

@@ -144,6 +144,8 @@ def _beyond(views: Sequence[MapView], distances: Sequence[Float], points: Float)
         found.append(view.camera.centre + view.camera.rays()[seen] * distance[seen][:, None])
         likely.append(inscribed_radii(view.mask)[seen] * distance[seen] / view.camera.fx)
     radii = np.concatenate(likely)
+    if not len(radii):
+        return np.full(len(points), -np.inf)  # nothing is seen: the hull alone tells
     away, nearest = cKDTree(np.concatenate(found)).query(points, distance_upper_bound=2 * float(radii.max()))
     reached = np.isfinite(away)
     return np.where(reached, away - radii[np.where(reached, nearest, 0)], radii.max())
