@@ -47,7 +47,7 @@ def fit_twice(stage: StageRun) -> None:
             return
     with reading(stage) as lanes:
         fit_all(stage, lanes, surface)
-    stage.note("second_fit", {"run": True, "reason": "with the surface that the first fits show"})
+    stage.note("second fit", {"run": True, "reason": "with the surface that the first fits show"})
 
 
 def _first_fits(stage: StageRun) -> Path:
@@ -87,4 +87,4 @@ def _keep_first(stage: StageRun, first: Path, why: str) -> None:
     stage.facts.update(told["facts"])
     for text in told["warnings"]:
         stage.warn(text)
-    stage.note("second_fit", {"run": False, "reason": why})
+    stage.note("second fit", {"run": False, "reason": why})

@@ -8,6 +8,7 @@ from pathlib import Path
 from pipeline.capture import Capture
 from pipeline.capture.view_rules import FEWEST_CAMERAS
 from pipeline.engine.costs import Cost
+from pipeline.engine.progress import brief
 from pipeline.engine.stage import Decision, Stage, StageRun
 from stages import memory_estimate, time_estimate
 from stages.olat.parameters import OlatParameters
@@ -44,10 +45,12 @@ def second_fit(capture: Capture, parameters: OlatParameters) -> Decision:
         return Decision(False, "the shape is given (olat.geometry)")
     if count < FEWEST_CAMERAS:
         return Decision(False, f"a surface needs {FEWEST_CAMERAS} cameras")
+    cost = time_estimate.olat(capture, parameters, compiled=True)["second fit"]
+    about = f" (adds about {brief(cost.cpu_s)} of one core, {cost.memory_mb:.0f} MB)"
     if parameters.second_fit == "on":
-        return Decision(True, "olat.second_fit=on")
+        return Decision(True, f"olat.second_fit=on{about}")
     if capture.config.olat.near_light:
-        return Decision(True, "near lights stand elsewhere for each point of the surface, which the first fits show")
+        return Decision(True, f"near lights stand elsewhere for each point of the surface, which the first fits show{about}")
     return Decision(False, "lights are distant, and the fits tell shadows by themselves (olat.second_fit=on does it)")
 
 

@@ -91,17 +91,20 @@ def test_near_lights_are_fitted_twice_and_the_second_time_right(tmp_path):
     once, twice = (error_of(tmp_path / name, truth) for name in ("once", "twice"))
     assert twice < 2.0 and once > 5 * twice  # 1.2, 13.6
     manifest = json.loads((tmp_path / "twice" / "olat" / "current" / "manifest.json").read_text())
-    assert manifest["facts"]["second_fit"]["run"] and manifest["decision"]["passes"]["second fit"]["run"]
+    assert manifest["facts"]["second fit"]["run"] and manifest["decision"]["passes"]["second fit"]["run"]
     folders = {path.name for path in (tmp_path / "twice" / "olat" / "current").iterdir()}
     assert folders == {"cam00", "cam01", "cam02", "maps.json", "manifest.json"}
 
 
 def test_when_it_pays_is_told_by_the_capture():
     def capture(cameras: int, near: bool) -> SimpleNamespace:
-        light_stage = SimpleNamespace(cameras=dict.fromkeys(range(cameras)))
-        return SimpleNamespace(light_stage=light_stage, config=SimpleNamespace(olat=OlatConfig(near_light=near)))
+        seen = {k: SimpleNamespace(mask=None) for k in range(cameras)}
+        stage = SimpleNamespace(cameras=seen, lights=range(LIGHTS))
+        config = SimpleNamespace(olat=OlatConfig(near_light=near))
+        return SimpleNamespace(light_stage=stage, config=config, pixels=[SIZE**2] * cameras)
 
     assert decision(capture(3, True), OlatParameters()).run
+    assert "adds about" in decision(capture(3, True), OlatParameters()).reason
     assert "off" in decision(capture(3, True), OlatParameters(second_fit="off")).reason
     assert "given" in decision(capture(3, True), OlatParameters(geometry="mesh.ply")).reason
     assert not decision(capture(3, False), OlatParameters()).run
@@ -136,7 +139,7 @@ def test_a_killed_run_goes_on_after_what_was_whole(tmp_path, monkeypatch):
             second_fit.fit_twice(run)
     second_fit.fit_twice(run)
     assert calls == ["first", "first", "surface", "second", "second"]
-    assert (output / "maps.json").read_text() == "second" and run.facts["second_fit"]["run"]
+    assert (output / "maps.json").read_text() == "second" and run.facts["second fit"]["run"]
 
 
 def test_first_fits_that_show_no_surface_stay(tmp_path, monkeypatch):
@@ -156,4 +159,4 @@ def test_first_fits_that_show_no_surface_stay(tmp_path, monkeypatch):
     run = StageRun(SimpleNamespace(root=tmp_path), OlatParameters(), {}, output, scratch, progress=Progress(quiet=True))
     second_fit.fit_twice(run)
     assert (output / "maps.json").read_text() == "first" and run.warnings == ["as it was told"]
-    assert not run.facts["second_fit"]["run"] and "share no surface" in run.facts["second_fit"]["reason"]
+    assert not run.facts["second fit"]["run"] and "share no surface" in run.facts["second fit"]["reason"]
