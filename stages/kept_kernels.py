@@ -8,7 +8,7 @@ FIRST_S: dict[str, tuple[str, float]] = {
     "decode": ("stages/calib/decode/frame_scan_kernel.py", 1.8),
     "masks": ("stages/masks/hull_check.py", 2.5),
     "train": ("stages/train/rasterize/kernel_backward.py", 60.0),
-    "mesh": ("stages/mesh/fusion_kernel.py", 10.0),
+    "mesh": ("pipeline/geometry/fusion_kernel.py", 10.0),
     "relight": ("pipeline/shading/light_tree_kernels.py", 20.0),
 }
 """For each stage a file of its kernels that no run of it does without, and the seconds that compiling all of them takes."""

@@ -14,6 +14,7 @@ from pipeline.capture.view_rules import too_few_views
 MEBI = 2**20
 PROGRAM = 80.0  # Python, numpy and this program
 READING = 195.0  # and OpenImageIO, numba
+SURFACE = 420.0  # rays and the fields of a surface of 320 voxels
 COMPILING = 350.0  # LLVM, while the fits of a light stage are compiled
 SAMPLE_BYTES = {".exr": 2}  # half floats as they are; others are read as floats
 
@@ -69,7 +70,7 @@ def masks(capture: Capture, parameters: Any, jobs: int, segmented: bool) -> floa
     return 230.0 + 13 * sum(capture.pixels) / MEBI + (130.0 if segmented else 0.0)
 
 
-def olat(capture: Capture, parameters: Any, jobs: int, compiled: bool) -> float:
+def olat(capture: Capture, parameters: Any, jobs: int, compiled: bool, again: bool) -> float:
     """Estimate olat: two bands of samples for each camera that is fitted beside another; the program that fits.
 
     Args:
@@ -77,6 +78,7 @@ def olat(capture: Capture, parameters: Any, jobs: int, compiled: bool) -> float:
         parameters: of the stage.
         jobs: pieces side by side.
         compiled: its kernels are; else LLVM, which compiles them, counts too.
+        again: it fits a second time, with the surface.
 
     Returns:
         MiB at the peak.
@@ -88,7 +90,7 @@ def olat(capture: Capture, parameters: Any, jobs: int, compiled: bool) -> float:
         for c in cameras if c.cross
     )  # fmt: skip
     lanes = max(1, min(jobs, len(cameras)))
-    return 130.0 + lanes * min(2 * parameters.band_mb, samples) + (0.0 if compiled else COMPILING)
+    return 130.0 + lanes * min(2 * parameters.band_mb, samples) + (0.0 if compiled else COMPILING) + (SURFACE if again else 0.0)
 
 
 def train(capture: Capture, parameters: Any, jobs: int) -> float:

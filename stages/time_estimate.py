@@ -19,6 +19,7 @@ from stages.object_share import object_share
 Costs = dict[str, Cost]
 MEGA = 1e6
 LIGHTS = 346  # of a light stage that a capture is not: LSX3's
+SURFACE = 320.0  # s a megapixel of the object, for the surface on which the cameras of a light stage agree
 LATE = 200  # steps of training before which nothing is traced
 
 
@@ -95,6 +96,7 @@ def olat(capture: Capture, parameters: Any, compiled: bool) -> Costs:
     general = {"closed": 1.0, "gradient": 0.3}.get(parameters.solver, 30.0)
     return {
         ITSELF: Cost(0.25 + 0.02 * pixels * lights + fitted * general, 160.0),
+        "second fit": Cost(1.0 + SURFACE * pixels * share + 0.02 * pixels * lights + 1.5 * fitted * general, 420.0),
         "overexposure": Cost(0.03 * fitted), "near light": Cost(0.15 * fitted, 12 * pixels * lights / 8),
         "jax": Cost(3.0 + 29 * fitted, 400.0), "pixels outside the masks": Cost(pixels * (1 - share) * one, 124 * pixels),
         **({} if compiled else {COMPILING: Cost(50.0, 350.0)}),

@@ -12,6 +12,8 @@ MIN_TRAINING_VIEWS = 8
 """Fewer views around an object determine no model of it."""
 TEST_EVERY = 8
 """Every how many-th view, in sorted order and from the first, tests the model, unless the capture's own tables say."""
+FEWEST_CAMERAS = 3
+"""Of a light stage, for a surface: two silhouettes bound no object, and two normal maps have no majority."""
 HeldBack = Literal["validation", "test"]
 
 

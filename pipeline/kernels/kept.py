@@ -13,7 +13,7 @@ def is_kept(file: str) -> bool:
     """Tell whether some kernel of a file, as it and all that it draws on are now, need not be compiled again here.
 
     Args:
-        file: from the project's root, as "stages/mesh/fusion_kernel.py".
+        file: from the project's root, as "pipeline/geometry/fusion_kernel.py".
 
     Returns:
         Whether code of its present digest lies in the folder for compiled code.

@@ -7,7 +7,8 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from .clean import Mesh
+from pipeline.geometry.mesh import Mesh
+
 from .gbuffer import DepthView
 
 NAMES = ("albedo_r", "albedo_g", "albedo_b", "roughness", "ior")

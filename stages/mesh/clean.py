@@ -3,40 +3,14 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.geometry.normals import UPWARD, cross_products, vertex_normals
-from pipeline.geometry.topology import edges_of, inside_out, pieces
+from pipeline.geometry.mesh import Mesh
+from pipeline.geometry.topology import edges_of, inside_out
 
 UNFOLDINGS = 20  # rounds; two or three do
-
-
-@dataclass
-class Mesh:
-    """Triangles [F, 3] over vertices [V, 3]; per-vertex attributes [V, C] by name."""
-
-    vertices: NDArray[np.float64]
-    faces: NDArray[np.int64]
-    attributes: dict[str, NDArray[np.float32]] = field(default_factory=dict)
-
-    @classmethod
-    def from_open3d(cls, mesh: Any) -> Mesh:
-        """Vertices and triangles of an Open3D tensor mesh."""
-        if "positions" not in mesh.vertex or "indices" not in mesh.triangle:
-            return cls(np.zeros((0, 3)), np.zeros((0, 3), np.int64))
-        return cls(mesh.vertex.positions.numpy().astype(np.float64), mesh.triangle.indices.numpy().astype(np.int64))
-
-    def area(self) -> NDArray[np.float64]:
-        """Area of each triangle [F]."""
-        return np.linalg.norm(cross_products(self.vertices, self.faces), axis=1) / 2
-
-    def normals(self) -> NDArray[np.float64]:
-        """Area-weighted unit vertex normals [V, 3]; +z where a vertex has no area to tell."""
-        return vertex_normals(self.vertices, self.faces, UPWARD)
 
 
 def subdivided(mesh: Mesh) -> Mesh:
@@ -47,31 +21,6 @@ def subdivided(mesh: Mesh) -> Mesh:
     ab, bc, ca = (len(mesh.vertices) + of.reshape(-1, 3)).T
     faces = np.stack([np.stack(part, -1) for part in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))], 1).reshape(-1, 3)
     return Mesh(np.concatenate([mesh.vertices, mesh.vertices[edges].mean(1)]), faces)
-
-
-def keep_faces(mesh: Mesh, keep: NDArray[np.bool_]) -> Mesh:
-    """The chosen triangles and the vertices that they use."""
-    faces = mesh.faces[keep]
-    used = np.unique(faces)
-    place = np.full(len(mesh.vertices), -1)
-    place[used] = np.arange(len(used))
-    return Mesh(mesh.vertices[used], place[faces], {k: v[used] for k, v in mesh.attributes.items()})
-
-
-def largest_pieces(mesh: Mesh, share: float) -> Mesh:
-    """Connected pieces of at least `share` of the largest one's area."""
-    if not len(mesh.faces):
-        return mesh
-    _, label = pieces(mesh.faces, len(mesh.vertices))
-    area = np.bincount(label[mesh.faces[:, 0]], mesh.area(), label.max() + 1)
-    return keep_faces(mesh, area[label[mesh.faces[:, 0]]] >= share * area.max())
-
-
-def without_slivers(mesh: Mesh) -> Mesh:
-    """No triangle of zero area or with a vertex twice."""
-    f = mesh.faces
-    distinct = (f[:, 0] != f[:, 1]) & (f[:, 1] != f[:, 2]) & (f[:, 2] != f[:, 0])
-    return keep_faces(mesh, distinct & (mesh.area() > 0))
 
 
 def unfolded(mesh: Mesh) -> Mesh:
@@ -89,18 +38,6 @@ def unfolded(mesh: Mesh) -> Mesh:
         count = np.bincount(ends, minlength=len(vertices))[:, None]
         vertices = np.where(corners[:, None], total / np.maximum(count, 1), vertices)
     return Mesh(vertices, mesh.faces, mesh.attributes)
-
-
-def in_fixed_order(mesh: Mesh) -> Mesh:
-    """Vertices by coordinates, triangles by their vertices: the extraction's own order varies from run to run."""
-    order = np.lexsort(mesh.vertices.T)
-    place = np.empty(len(order), np.int64)
-    place[order] = np.arange(len(order))
-    faces = place[mesh.faces]
-    first = faces.argmin(1)[:, None]
-    faces = np.take_along_axis(faces, (first + np.arange(3)) % 3, 1)
-    faces = faces[np.lexsort(faces.T[::-1])]
-    return Mesh(mesh.vertices[order], faces, {k: v[order] for k, v in mesh.attributes.items()})
 
 
 def boundary_loops(mesh: Mesh) -> list[NDArray[np.int64]]:

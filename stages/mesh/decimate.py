@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.geometry.mesh import Mesh, without_slivers
 from pipeline.geometry.rays import RayMesh
 from pipeline.geometry.topology import topology
-
-from .clean import Mesh, without_slivers
 
 FACTOR = 2.0  # fewer triangles from step to step; the last two steps' interval is halved once
 MOST_STEPS = 20

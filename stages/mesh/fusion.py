@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from . import fusion_kernel
+from pipeline.geometry import fusion_kernel
+
 from .gbuffer import DepthView
 
 BLOCK = 8  # voxels along a block's edge

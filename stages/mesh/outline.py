@@ -6,9 +6,9 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from pipeline.geometry.mesh import Mesh
 from pipeline.geometry.rays import RayMesh
 
-from .clean import Mesh
 from .gbuffer import DepthView
 
 ENOUGH_RAYS = 384

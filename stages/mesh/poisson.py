@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .clean import Mesh
+from pipeline.geometry.mesh import Mesh
 
 
 def poisson_surface(mesh: Mesh, depth: int) -> Mesh:

@@ -9,10 +9,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.geometry.mesh import Mesh
 from pipeline.geometry.normals import cross_products
 from pipeline.geometry.topology import edges_of
-
-from .clean import Mesh
 
 SHORTEST = 0.1  # of the median edge: below it an edge's direction is the extraction's rounding
 HALVINGS = 6  # of the offsets at a triangle that would turn over, before they are dropped

@@ -2,43 +2,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.asset.ambient import sky_seen
 from pipeline.engine.stage import StageRun
-from pipeline.errors import UserError
 from pipeline.formats import dataset_files as files
 from pipeline.formats.images import srgb_encode
 from pipeline.formats.ply import write_ply
-from pipeline.geometry.cameras import Camera
+from pipeline.geometry.mesh import Mesh, in_fixed_order
 from pipeline.geometry.rays import RayMesh
 from pipeline.rig.object_rendering import LOBE
+from pipeline.rig.surface.read_maps import Rig
+from pipeline.rig.surface.search import SurfaceSettings, find_surface, footprint
 
-from .clean import Mesh, in_fixed_order, largest_pieces, subdivided, without_slivers
+from .clean import subdivided
 from .refine import following_normals
 from .rig_surface.atlas_maps import STANDARD_DEVIATIONS, write_rig_asset
-from .rig_surface.depths import find_depths
 from .rig_surface.disagreement import disagreement, write_disagreement
-from .rig_surface.read_maps import Rig
 from .rig_surface.sights import Sight, Sights
-from .rig_surface.surface import believed, chords, extracted, fused_volume, hull_of, silhouettes_of
 from .rig_surface.unseen import smoothed_where_unseen
 from .rig_surface.vertex_maps import SurfacePoints, camera_values, filled, fused_maps
 
-HULL = 128  # voxels along the longest side of the hull: it bounds the search, the surface is finer
-SLACK = 1.5  # pixel footprints by which depths of one surface differ between cameras
 SEEN_WITHIN = 3.0  # voxels: what a camera sees beyond that is another surface
 MOST_TRIANGLES = 1_000_000  # beyond it textures alone hold the detail
-TRUNCATION = 3.0  # voxels: depths agree to a fraction of one, and what is farther behind a surface is another part
 
 
 def make_rig_mesh(run: StageRun) -> None:
     """Find the surface, fuse the maps on it, write mesh.ply, asset/ and how far the cameras disagree. Raises UserError."""
-    rig, p = Rig(run), run.parameters
-    mesh, voxel = find_surface(run, rig)
+    p = run.parameters
+    rig = Rig(run.capture.root, run.inputs["decode"], run.inputs["olat"], run.inputs.get("masks"))
+    settings = SurfaceSettings(p.voxel_px, p.max_voxels, p.grazing, p.component_pct / 100)
+    mesh, voxel = find_surface(rig, settings, lambda text: run.progress.say(f"mesh: {text}"))
     slack = SEEN_WITHIN * voxel
     for finer in (False, True):  # every pixel's normal is measured: half a pixel between vertices carries it without blur
         mesh = subdivided(mesh) if finer and 4 * len(mesh.faces) <= MOST_TRIANGLES else mesh
@@ -68,31 +63,6 @@ def _tell_disagreement(run: StageRun, sight: Sight, mesh: Mesh, solid: RayMesh) 
     for name, image in images.items():
         if (image > 0).any():
             run.note(f"{maps.name}.disagreement_{name}", round(float(np.median(image[image > 0])), 4))
-
-
-def find_surface(run: StageRun, rig: Rig) -> tuple[Mesh, float]:
-    """The closed surface before its fine relief, and its voxel's edge (world units). Raises UserError."""
-    p = run.parameters
-    views = rig.views(p.max_voxels)
-    if empty := [v.name for v in views if not v.known.any()]:
-        raise UserError(run.inputs["olat"], f"no pixel of {', '.join(empty)} has a normal", "look at its preview.png")
-    hull = hull_of(silhouettes_of(views), HULL)
-    low, high = hull.box()
-    foot = footprint([view.camera for view in views], 0.5 * (low + high))
-    voxel = max(p.voxel_px * foot, float((high - low).max()) / p.max_voxels)
-    spans = [chords(view, hull) for view in views]
-    run.progress.say("mesh: looking for the surface on which the cameras' normals agree")
-    distances = believed(views, find_depths(views, spans), spans, SLACK * foot)
-    field, corner = fused_volume(views, distances, hull, voxel, TRUNCATION * voxel, p.grazing)
-    mesh = largest_pieces(without_slivers(extracted(field, corner, voxel)), p.component_pct / 100)
-    if not len(mesh.faces):
-        raise UserError(run.inputs["olat"], "the cameras' maps have no surface in common", "check the masks and the cameras")
-    return in_fixed_order(mesh), voxel
-
-
-def footprint(cameras: Sequence[Camera], centre: NDArray) -> float:
-    """A pixel's usual width at the object (world units)."""
-    return float(np.median([np.linalg.norm(c.centre - centre) / np.sqrt(c.fx * c.fy) for c in cameras]))
 
 
 def with_maps(mesh: Mesh, sights: Sights, slack: float) -> Mesh:

@@ -11,11 +11,12 @@ from pipeline.errors import UserError
 from pipeline.formats import dataset_files as files
 from pipeline.formats.ply import write_ply
 from pipeline.geometry.cameras import load_cameras, world_offset
+from pipeline.geometry.mesh import Mesh, in_fixed_order, keep_faces, largest_pieces, without_slivers
 from pipeline.geometry.topology import topology
 from pipeline.geometry.world_offset import ply_comment
 
 from .attributes import bake, vertex_table
-from .clean import Mesh, fill_holes, in_fixed_order, keep_faces, largest_pieces, unfolded, without_slivers
+from .clean import fill_holes, unfolded
 from .decimate import decimated
 from .fusion import Extent, Volume, measure
 from .gbuffer import Views

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from pipeline.capture import Capture
-from pipeline.capture.view_rules import too_few_views
+from pipeline.capture.view_rules import FEWEST_CAMERAS, too_few_views
 from pipeline.engine.stage import Decision, Stage, StageRun
 from stages import memory_estimate, time_estimate
 
 from .parameters import MeshParameters
-
-FEWEST_CAMERAS = 3  # two silhouettes bound no object, and two normal maps have no majority
 
 
 def needed(capture: Capture, parameters: MeshParameters) -> Decision:
@@ -41,6 +39,6 @@ def run(run: StageRun) -> None:
 
 
 STAGE = Stage(
-    "mesh", 5, MeshParameters, ("decode", "poses", "masks", "olat", "train"), needed, run, config=("up", "unit_m"),
+    "mesh", 6, MeshParameters, ("decode", "poses", "masks", "olat", "train"), needed, run, config=("up", "unit_m"),
     memory=memory_estimate.mesh, costs=time_estimate.mesh, parallel=0.2,
 )  # fmt: skip

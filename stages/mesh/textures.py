@@ -20,8 +20,8 @@ from pipeline.formats.images import RGB, channel_names, read_image
 from pipeline.formats.ply import Ply
 from pipeline.geometry.cameras import world_offset
 from pipeline.geometry.lens import frames_folder
+from pipeline.geometry.mesh import Mesh
 
-from .clean import Mesh
 from .gbuffer import DepthView, Views
 
 LEAST_BLUR, MOST_BLUR = 1.0, 16.0  # px: finer is noise, coarser is shading

@@ -106,9 +106,9 @@ class KnownGeometry:
         return out
 
 
-def known_geometry(stage: StageRun, jobs: Iterable[CameraJob]) -> KnownGeometry | None:
-    """The surface that `olat.geometry` names, if any. Raises UserError where it is not what the cameras see."""
-    path = geometry_file(stage.capture, stage.parameters.geometry)
+def known_geometry(stage: StageRun, jobs: Iterable[CameraJob], surface: Path | None = None) -> KnownGeometry | None:
+    """The surface given, or that `olat.geometry` names, if any. Raises UserError where it is not what the cameras see."""
+    path = surface or geometry_file(stage.capture, stage.parameters.geometry)
     if path is None:
         return None
     found = KnownGeometry(path)

@@ -55,6 +55,10 @@ class OlatParameters:
             "help": "mesh of this object: lights that it hides from a pixel are dark there, near ones lit its surface (file)"
         },
     )
+    second_fit: Literal["auto", "on", "off"] = field(
+        default="auto",
+        metadata={"help": "fit again with the surface that the first fits show; auto: where lights are near (three cameras)"},
+    )
     align: bool = field(
         default=True, metadata={"help": "undo a shift of the parallel pass against the crossed one, in whole pixels"}
     )

@@ -10,6 +10,7 @@ from contextlib import closing
 from dataclasses import dataclass
 from importlib.metadata import version
 from itertools import chain, groupby
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -46,8 +47,8 @@ NOTHING = np.empty((0, 0, 3), np.uint16)
 TOLERANCE = {"float32": 3e-6, "float64": 1e-12}
 
 
-def run(stage: StageRun, lanes: Lanes) -> None:
-    """Fit every camera from its pieces. Raises UserError on frames that cannot be read."""
+def run(stage: StageRun, lanes: Lanes, surface: Path | None = None) -> None:
+    """Fit every camera from its pieces, with the object's surface if one is given. Raises UserError on unreadable frames."""
     index = decoded(stage)
     parameters: OlatParameters = stage.parameters
     rig = light_rig(index, every(parameters.lights))
@@ -66,7 +67,7 @@ def run(stage: StageRun, lanes: Lanes) -> None:
         stage.progress.say("compiling the fits for this machine (once; about a minute)")
     load(half, parameters.precision)  # while the first band is read
     stage.note("kernels", f"numba {version('numba')}")  # it compiled them, but need not be loaded
-    geometry = known_geometry(stage, chain.from_iterable(lanes.jobs))
+    geometry = known_geometry(stage, chain.from_iterable(lanes.jobs), surface)
     check_rig(stage, rig, stage.capture.config.olat.near_light)
     pilot, lanes.pieces[0] = _pilot(lanes.pieces[0])
     check_capture(stage, pilot, rig)

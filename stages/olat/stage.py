@@ -6,7 +6,9 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from pipeline.capture import Capture
+from pipeline.capture.view_rules import FEWEST_CAMERAS
 from pipeline.engine.costs import Cost
+from pipeline.engine.progress import brief
 from pipeline.engine.stage import Decision, Stage, StageRun
 from stages import memory_estimate, time_estimate
 from stages.olat.parameters import OlatParameters
@@ -29,8 +31,27 @@ def needed(capture: Capture, parameters: OlatParameters) -> Decision:
         ),
     }  # fmt: skip
     cameras = f"{len(stage.cameras)} camera{'s' * (len(stage.cameras) != 1)}"
+    passes["second fit"] = second_fit(capture, parameters)
     passes["pixels outside the masks"] = Decision(False, "only pixels of the object are fitted")
     return Decision(True, f"{cameras} under {len(stage.lights)} lights, cross and parallel", passes)
+
+
+def second_fit(capture: Capture, parameters: OlatParameters) -> Decision:
+    """Whether the fits are redone with the surface that they show."""
+    count = len(capture.light_stage.cameras) if capture.light_stage is not None else 0
+    if parameters.second_fit == "off":
+        return Decision(False, "olat.second_fit=off")
+    if parameters.geometry:
+        return Decision(False, "the shape is given (olat.geometry)")
+    if count < FEWEST_CAMERAS:
+        return Decision(False, f"a surface needs {FEWEST_CAMERAS} cameras")
+    cost = time_estimate.olat(capture, parameters, compiled=True)["second fit"]
+    about = f" (adds about {brief(cost.cpu_s)} of one core, {cost.memory_mb:.0f} MB)"
+    if parameters.second_fit == "on":
+        return Decision(True, f"olat.second_fit=on{about}")
+    if capture.config.olat.near_light:
+        return Decision(True, f"near lights stand elsewhere for each point of the surface, which the first fits show{about}")
+    return Decision(False, "lights are distant, and the fits tell shadows by themselves (olat.second_fit=on does it)")
 
 
 def capture_files(capture: Capture) -> Iterable[Path]:
@@ -51,7 +72,8 @@ def given_files(capture: Capture, parameters: OlatParameters) -> tuple[Path, ...
 
 def memory(capture: Capture, parameters: OlatParameters, jobs: int) -> float:
     """MiB at its peak."""
-    return memory_estimate.olat(capture, parameters, jobs, _compiled(capture, parameters))
+    again = second_fit(capture, parameters).run
+    return memory_estimate.olat(capture, parameters, jobs, _compiled(capture, parameters), again)
 
 
 def costs(capture: Capture, parameters: OlatParameters) -> dict[str, Cost]:
@@ -77,6 +99,11 @@ def run(stage: StageRun) -> None:
 
     if stage.parameters.solver in SOLVERS:
         check_installed(stage.parameters.solver)
+    if second_fit(stage.capture, stage.parameters).run:
+        from stages.olat.second_fit import fit_twice
+
+        fit_twice(stage)
+        return
     with reading(stage) as lanes:
         from stages.olat.run import run as fit_all  # the frames are on their way meanwhile
 
@@ -85,7 +112,7 @@ def run(stage: StageRun) -> None:
 
 STAGE = Stage(
     name="olat",
-    version=11,
+    version=12,
     parameters=OlatParameters,
     needs=("decode", "masks"),
     needed=needed,

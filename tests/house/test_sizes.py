@@ -39,7 +39,7 @@ LONG_FUNCTIONS = {
     "pipeline/shading/prefilter_kernels.py:_row": (60, _KERNEL),
     "pipeline/shading/shade_kernels.py:backward": (120, _ADJOINT),
     "stages/calib/decode/write_frames.py:_tell": (60, "the warnings of one stage, one after the other"),
-    "stages/mesh/fusion_kernel.py:integrate": (60, _KERNEL),
+    "pipeline/geometry/fusion_kernel.py:integrate": (60, _KERNEL),
     "stages/metrics/report/model_pictures.py:_view_pictures": (60, "the pictures of one view, one after the other"),
     "stages/olat/pixel_fit/lobe_fit.py:fit_lobe": (80, _KERNEL),
     "stages/olat/pixel_fit/mixed_tangents.py:_optimise": (60, _KERNEL),

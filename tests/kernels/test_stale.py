@@ -16,7 +16,7 @@ EDITS = {  # a constant that the kernel takes from another file
     "rasteriser": ("stages/train/rasterize/constants.py", "\nALPHA_MAX = 0.99\n", "\nALPHA_MAX = 0.5\n"),
     "olat": ("pipeline/kernels/numerics.py", "LARGEST = np.float32(1e30)", "LARGEST = np.float32(0.5)"),
     "object file": ("stages/olat/probe.py", "SHARE = 0.25", "SHARE = 0.75"),
-    "mesh": ("stages/mesh/probe.py", "SHARE = 0.25", "SHARE = 0.75"),
+    "mesh": ("pipeline/geometry/probe.py", "SHARE = 0.25", "SHARE = 0.75"),
     "masks": ("stages/masks/probe.py", "SHARE = 0.25", "SHARE = 0.75"),
 }
 BEFORE = {"capture": 1.0, "shading": 0.9082, "rasteriser": 0.99, "olat": 1.0, "object file": 0.25, "mesh": 0.25, "masks": 0.25}
@@ -46,11 +46,11 @@ from pathlib import Path
 import numpy as np
 from numba import njit
 from pipeline.formats import exr_kernels
+from pipeline.geometry import fusion_kernel
 from pipeline.kernels import native
 from pipeline.kernels.simd import spread, store
 from pipeline.shading import shade_kernels
 from stages.masks import volume
-from stages.mesh import fusion_kernel
 from stages.olat.pixel_fit import separation
 from stages.train.rasterize import kernel_block
 
@@ -102,10 +102,10 @@ print(json.dumps([{name: round(float(value), 4) for name, value in values.items(
 def checkout(tmp_path_factory) -> Checkout:
     """With one more kernel in mesh and in masks, whose own draw on no other file, and a small one kept as an object file."""
     made = Checkout(tmp_path_factory.mktemp("stale") / "checkout")
-    for stage, kernels in (("mesh", "fusion_kernel"), ("masks", "volume")):
-        made.write(f"stages/{stage}/probe.py", "SHARE = 0.25\n")
-        made.write(f"stages/{stage}/doubled.py", "from .probe import SHARE\n\nTWICE = 2 * SHARE\n")
-        made.write(f"stages/{stage}/{kernels}.py", PROBE.format(module=f"stages.{stage}.doubled"))
+    for package, kernels in (("pipeline/geometry", "fusion_kernel"), ("stages/masks", "volume")):
+        made.write(f"{package}/probe.py", "SHARE = 0.25\n")
+        made.write(f"{package}/doubled.py", "from .probe import SHARE\n\nTWICE = 2 * SHARE\n")
+        made.write(f"{package}/{kernels}.py", PROBE.format(module=f"{package.replace('/', '.')}.doubled"))
     made.write("stages/olat/probe.py", "SHARE = 0.25\n")
     made.write("stages/olat/object_probe.py", OBJECT)
     return made

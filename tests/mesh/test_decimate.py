@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from pipeline.geometry.mesh import Mesh
 from pipeline.geometry.rays import RayMesh
 from pipeline.geometry.topology import topology
-from stages.mesh.clean import Mesh, unfolded
+from stages.mesh.clean import unfolded
 from stages.mesh.decimate import decimated
 
 

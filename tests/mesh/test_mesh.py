@@ -17,8 +17,9 @@ from pipeline.errors import UserError
 from pipeline.formats.images import read_image, write_exr
 from pipeline.formats.ply import write_ply
 from pipeline.geometry.cameras import save_cameras
+from pipeline.geometry.mesh import Mesh, in_fixed_order, largest_pieces, without_slivers
 from stages.mesh.attributes import bake, vertex_table
-from stages.mesh.clean import Mesh, boundary_loops, fill_holes, in_fixed_order, largest_pieces, without_slivers
+from stages.mesh.clean import boundary_loops, fill_holes
 from stages.mesh.fusion import Volume, measure
 from stages.mesh.outline import outline_gap, outline_length
 from stages.mesh.parameters import MeshParameters

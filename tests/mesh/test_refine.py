@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stages.mesh.clean import Mesh
+from pipeline.geometry.mesh import Mesh
 from stages.mesh.refine import following_normals
 
 

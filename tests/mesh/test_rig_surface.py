@@ -17,14 +17,16 @@ from pipeline.errors import UserError
 from pipeline.formats.images import read_image, write_exr, write_png
 from pipeline.formats.ply import Ply
 from pipeline.geometry.cameras import Camera, camera_from_opengl, frame_of
+from pipeline.geometry.mesh import Mesh
 from pipeline.rig.object_rendering import RigObject
-from stages.mesh.clean import Mesh, subdivided
+from pipeline.rig.surface.belief import believed
+from pipeline.rig.surface.depths import find_depths, supports
+from pipeline.rig.surface.map_view import MapView
+from pipeline.rig.surface.volume import chords, hull_of, inscribed_radii, silhouettes_of
+from stages.mesh.clean import subdivided
 from stages.mesh.parameters import MeshParameters
 from stages.mesh.rig_object import make_rig_mesh
-from stages.mesh.rig_surface.depths import find_depths
-from stages.mesh.rig_surface.map_view import MapView
 from stages.mesh.rig_surface.sights import square_slopes
-from stages.mesh.rig_surface.surface import chords, hull_of, inscribed_radii, silhouettes_of
 from stages.mesh.rig_surface.unseen import smoothed_where_unseen
 from stages.mesh.rig_surface.vertex_maps import CameraValues, fused_maps
 from synth.orbit import look_at
@@ -80,6 +82,34 @@ def test_depths_come_out_of_normals_that_agree(radius):
     error, start = np.concatenate(errors), np.concatenate(starts)
     assert np.median(error) < 0.015 and np.quantile(error, 0.9) < 0.06  # 0.010, 0.04
     assert np.median(start) > 2 * np.median(error)
+
+
+def test_of_two_distances_that_contradict_the_one_that_others_bear_out_stays():
+    """A patch that one camera sets too deep does not take the right one from a camera that sees it there."""
+    radius = 1.0
+    balls = ball_views(radius)
+    views = [MapView(f"cam{k:02d}", b.camera, b.mask, b.normal, 0.5 * (b.normal != 0)) for k, b in enumerate(balls)]
+    spans = [chords(view, hull_of(silhouettes_of(views), 64)) for view in views]
+    distances = [ball.distance.copy() for ball in balls]
+    patch = (slice(15, 25), slice(15, 25))
+    distances[1][patch] += 0.4 * radius
+    kept = believed(views, distances, supports(views, distances), spans, 0.03 * radius)
+    assert not kept[1][17:23, 17:23].any()  # within a pixel of its border the patch is among right neighbours
+    for k in (0, 2, 3):
+        inner = balls[k].mask > 0.99
+        assert np.mean(kept[k][inner] > 0) > 0.97
+
+
+def test_known_distances_are_kept_and_completed():
+    """The search that sets out from a surface stays on it, and pixels that the surface misses follow their neighbours."""
+    balls = ball_views(1.0)
+    views = [MapView(f"cam{k:02d}", b.camera, b.mask, b.normal, 0.5 * (b.normal != 0)) for k, b in enumerate(balls)]
+    spans = [chords(view, hull_of(silhouettes_of(views), 64)) for view in views]
+    known = [np.where(ball.distance > 0, ball.distance, np.inf) for ball in balls]
+    known[1][15:25, 15:25] = np.inf
+    for ball, distance in zip(balls, find_depths(views, spans, known)):
+        inner = ball.mask > 0.99
+        assert np.quantile(np.abs(distance - ball.distance)[inner & (distance > 0)], 0.95) < 0.02
 
 
 def test_the_largest_disc_about_a_pixel():

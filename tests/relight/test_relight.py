@@ -95,8 +95,8 @@ def relit(tmp_path):
 
 def _write_mesh(folder, mesh) -> None:
     from pipeline.formats.ply import write_ply
+    from pipeline.geometry.mesh import Mesh
     from stages.mesh.attributes import vertex_table
-    from stages.mesh.clean import Mesh
 
     material = np.tile(np.array([0.7, 0.3, 0.1, 0.4, 1.5], np.float32), (len(mesh[0]), 1))
     whole = Mesh(mesh[0], mesh[1], {"normal": mesh[2].astype(np.float32), "material": material})

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from pipeline.formats.ply import write_ply
+from pipeline.geometry.mesh import Mesh
 from pipeline.geometry.occluder import tangent_frames
 from pipeline.optics import fresnel
 from pipeline.optics.sphere import hemisphere_rule
 from pipeline.shading.prefilter_kernels import REFERENCE_IOR
 from stages.mesh.attributes import vertex_table
-from stages.mesh.clean import Mesh
 from stages.relight.deferred import Lamp, ShadingModel, Surface
 from stages.relight.mesh_shadows import SelfOcclusion
 from synth.shape import vase

@@ -12,9 +12,10 @@ from pipeline.asset.filling import nearest_texel, texture
 from pipeline.asset.tangents import in_tangent_frame, vertex_tangents
 from pipeline.engine.stage import StageRun
 from pipeline.formats import dataset_files as files
+from pipeline.geometry.mesh import Mesh, without_slivers
 from pipeline.geometry.occluder import simplified
 
-from ..clean import Mesh, unfolded, without_slivers
+from ..clean import unfolded
 from .sights import Sights
 from .vertex_maps import SurfacePoints, camera_values, filled, fused_maps
 

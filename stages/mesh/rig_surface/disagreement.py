@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.formats.images import write_exr
+from pipeline.geometry.mesh import Mesh
 from pipeline.geometry.rays import RayMesh
-
-from ..clean import Mesh
-from .read_maps import RigMaps
+from pipeline.rig.surface.read_maps import RigMaps
 
 Image = NDArray[np.float32]
 NAMES = ("normal_deg", "diffuse_albedo", "specular_albedo", "sigma")

@@ -8,10 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.geometry.mesh import Mesh
 from pipeline.geometry.rays import RayMesh
-
-from ..clean import Mesh
-from .read_maps import Rig, RigMaps
+from pipeline.rig.surface.read_maps import Rig, RigMaps
 
 Image = NDArray[np.float32]
 KEPT_BYTES = 1 << 29  # of cameras that are kept; others are read and cast anew each time

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy import sparse
 
+from pipeline.geometry.mesh import Mesh
 from pipeline.geometry.topology import edges_of
-
-from ..clean import Mesh
 
 ROUNDS = 15  # of means over the neighbours: relief of less than about four edges goes, and outlines stay where they are
 

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .map_view import inside_frame, sampled
+from pipeline.rig.surface.map_view import inside_frame, sampled
+
 from .sights import Sight
 
 Float = NDArray[np.float64]

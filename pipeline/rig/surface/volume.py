@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from pipeline.geometry import fusion_kernel
+from pipeline.geometry.mesh import Mesh
 from pipeline.geometry.silhouette_hull import Silhouette, bounds, grid, occupancy, signed_distance
 
-from .. import fusion_kernel
-from ..clean import Mesh
-from .map_view import MapView, inside_frame
+from .map_view import MapView
 
 Float = NDArray[np.float64]
 FREE_WEIGHT = 0.5  # of a ray that misses the object, against a surface seen squarely
@@ -88,31 +88,6 @@ def chords(view: MapView, hull: Hull) -> tuple[Float, Float]:
     return near, far
 
 
-def believed(
-    views: Sequence[MapView], distances: Sequence[Float], hull_chords: Sequence[tuple[Float, Float]], slack: float
-) -> list[Float]:
-    """The distances [H, W] without those that lie off the hull or before what most other cameras see there (0)."""
-    out = []
-    for k, (view, distance, (near, far)) in enumerate(zip(views, distances, hull_chords)):
-        sound = (distance > 0) & (near > 0) & (distance > near - 2 * slack) & (distance < far + 2 * slack)
-        points = view.camera.centre + view.camera.rays()[sound] * distance[sound][:, None]
-        for_it, against = np.zeros(len(points)), np.zeros(len(points))
-        for j, (other, theirs) in enumerate(zip(views, distances)):
-            if j == k:
-                continue
-            pixels, away = other.project(points)
-            inside = inside_frame(pixels, other.camera.width, other.camera.height)
-            at = np.round(np.nan_to_num(pixels)).astype(np.int64)
-            column, row = (np.clip(at[:, axis], 0, size - 1) for axis, size in enumerate(theirs.shape[::-1]))
-            there = np.where(inside, theirs[row, column], 0.0)
-            for_it += (there > 0) & (np.abs(there - away) < 2 * slack)
-            against += (there > 0) & (away < there - 3 * slack)
-        kept = np.zeros(distance.shape, bool)
-        kept[sound] = against <= for_it
-        out.append(np.where(kept, distance, 0.0))
-    return out
-
-
 def fused_volume(
     views: Sequence[MapView], distances: Sequence[Float], hull: Hull, voxel: float, truncation: float, grazing: float
 ) -> tuple[NDArray[np.float32], Float]:
@@ -169,6 +144,8 @@ def _beyond(views: Sequence[MapView], distances: Sequence[Float], points: Float)
         found.append(view.camera.centre + view.camera.rays()[seen] * distance[seen][:, None])
         likely.append(inscribed_radii(view.mask)[seen] * distance[seen] / view.camera.fx)
     radii = np.concatenate(likely)
+    if not len(radii):
+        return np.full(len(points), -np.inf)  # nothing is seen: the hull alone tells
     away, nearest = cKDTree(np.concatenate(found)).query(points, distance_upper_bound=2 * float(radii.max()))
     reached = np.isfinite(away)
     return np.where(reached, away - radii[np.where(reached, nearest, 0)], radii.max())

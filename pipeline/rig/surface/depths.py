@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
+from scipy.spatial import cKDTree
 
 from . import agreement_kernel
 from .integrate import Pixels, edge_weights, integrated, pixels_of
@@ -36,23 +37,59 @@ ROUNDS = (
 )  # fmt: skip
 
 
-def find_depths(views: Sequence[MapView], chords: Sequence[tuple[Float, Float]]) -> list[Float]:
+def find_depths(
+    views: Sequence[MapView], chords: Sequence[tuple[Float, Float]], known: Sequence[Float] | None = None
+) -> list[Float]:
     """Distance along the ray of every pixel [H, W] of each view, 0 where there is none.
 
     chords: where each pixel's ray enters and leaves the silhouettes' hull [H, W] each, 0 where it misses.
+    known: distances [H, W] to a surface that all views together made (infinite beside it): the last round alone, from there.
     """
     found = [pixels_of(view) for view in views]
     near = [c[0][p.rows, p.columns] for p, c in zip(found, chords)]
     far = [c[1][p.rows, p.columns] for p, c in zip(found, chords)]
-    distances = []
-    for pixels, a in zip(found, near):
-        usual = float(np.median(a[a > 0]))
-        start = np.where(a > 0, a, usual)
-        distances.append(integrated(pixels, start, np.where(a > 0, WEAK, WEAK * 0.1), edge_weights(pixels, start, 2.0)))
+    if known is None:
+        distances = [_beginning(pixels, a) for pixels, a in zip(found, near)]
+    else:
+        distances = [_begun(pixels, image[pixels.rows, pixels.columns]) for pixels, image in zip(found, known)]
     for number, each in enumerate(ROUNDS):
+        if known is not None and each is not ROUNDS[-1]:
+            continue
         surfaces = [p.image(d) if number else np.zeros(p.view.mask.shape) for p, d in zip(found, distances)]
         distances = [refined(k, found, distances[k], surfaces, (near[k], far[k]), each, number) for k in range(len(found))]
     return [pixels.image(d) for pixels, d in zip(found, distances)]
+
+
+def _beginning(pixels: Pixels, near: Float) -> Float:
+    """Distances [P] to begin with: about where the rays enter the hull [P], shaped by the normals."""
+    start = np.where(near > 0, near, float(np.median(near[near > 0])))
+    return integrated(pixels, start, np.where(near > 0, WEAK, WEAK * 0.1), edge_weights(pixels, start, 2.0))
+
+
+def _begun(pixels: Pixels, known: Float) -> Float:
+    """Distances [P] where a surface is known, and where it is not what the normals make of the nearest that are."""
+    met = np.isfinite(known) & (known > 0)
+    if met.all() or not met.any():
+        return known if met.any() else _beginning(pixels, np.ones(len(known)))
+    _, nearest = cKDTree(np.stack([pixels.rows[met], pixels.columns[met]], -1)).query(
+        np.stack([pixels.rows[~met], pixels.columns[~met]], -1)
+    )
+    start = known.copy()
+    start[~met] = known[met][nearest]
+    return start
+
+
+def supports(views: Sequence[MapView], distances: Sequence[Float]) -> list[Float]:
+    """How far the other cameras bear out each view's distances [H, W]: the weight of those that agree about the point without
+    that of those that do not, over a pixel's surroundings; 0 where no other camera sees it."""
+    found, last = [pixels_of(view) for view in views], ROUNDS[-1]
+    out = []
+    for k, pixels in enumerate(found):
+        base = distances[k][pixels.rows, pixels.columns]
+        cost, weight = disagreement(k, found, base, np.ones(1), distances, last.tolerance)
+        said = pixels.image(weight[:, 0].astype(np.float64) - 2.0 * cost[:, 0])  # costs are of the weight: all or none of it
+        out.append(ndimage.gaussian_filter(said, last.blur))
+    return out
 
 
 def refined(

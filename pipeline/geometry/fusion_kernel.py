@@ -29,6 +29,19 @@ def integrate(
 
     Depth is bilinear where the four pixels around belong to one surface, the nearest pixel's at an edge; the distance
     along the ray is foreshortened onto the normal, the plane's distance, which also holds at grazing angles.
+
+    Args:
+        points: world. [N, 3]
+        distance: in truncations, positive outside; updated. [N]
+        weight: so far; updated. [N]
+        depth: along the camera's z, 0 where there is no surface, negative where nothing is told. [H, W]
+        normal: world. [H, W, 3]
+        world_to_camera: rigid. [4, 4]
+        centre: of the camera. [3]
+        fx, fy, cx, cy: of its pinhole, pixels.
+        truncation: world units.
+        grazing: least cosine between ray and normal that counts.
+        free_weight: of a ray that misses the object.
     """
     height, width = depth.shape
     m = world_to_camera

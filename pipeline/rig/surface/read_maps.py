@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.engine.stage import StageRun
+from pipeline.capture.view_rules import FEWEST_CAMERAS
 from pipeline.errors import UserError
 from pipeline.formats import dataset_files as files
 from pipeline.formats.given_mask import read_given
@@ -32,10 +32,17 @@ CHANNELS = {
 
 @dataclass(frozen=True)
 class RigMaps:
-    """One camera's maps [H, W, C] by name, 0 where nothing was fitted, cut to the object's rectangle of the frame.
+    """One camera's maps, 0 where nothing was fitted, cut to the object's rectangle of the frame.
 
-    mask [H, W]: coverage by the object; sound, lobed [H, W]: where normal and diffuse albedo, and the lobe, are to be trusted.
-    origin: the rectangle's first column and row; size: of the whole frame (columns, rows).
+    Fields:
+        name: of the camera.
+        camera: as a straight pinhole of the rectangle.
+        mask: coverage by the object. [H, W]
+        maps: by name. [H, W, C]
+        sound: where normal and diffuse albedo are to be trusted. [H, W]
+        lobed: where the lobe is. [H, W]
+        origin: the rectangle's first column and row.
+        size: of the whole frame (columns, rows).
     """
 
     name: str
@@ -55,18 +62,25 @@ class RigMaps:
 
 
 class Rig:
-    """The cameras of a light stage that have maps; iterated over, each is read anew."""
+    """The cameras of a light stage that have maps; iterated over, each is read anew.
 
-    def __init__(self, run: StageRun) -> None:
-        """Raises UserError where fewer than three have any."""
-        self._index_path = run.inputs["decode"] / "olat.json"
+    Args:
+        root: the capture's folder.
+        decode: the decode stage's.
+        olat: with a folder of maps for each camera.
+        masks: the masks stage's, if it ran.
+    """
+
+    def __init__(self, root: Path, decode: Path, olat: Path, masks: Path | None) -> None:
+        """Raises UserError where fewer than `FEWEST_CAMERAS` have any."""
+        self._index_path = decode / "olat.json"
         self._index = json.loads(self._index_path.read_text())
-        self._olat, self._masks, self._root = run.inputs["olat"], run.inputs.get("masks"), run.capture.root
-        self.names = [name for name in sorted(self._index["cameras"]) if (self._olat / name).is_dir()]
-        if len(self.names) < 3:
+        self.folder, self._masks, self._root = olat, masks, root
+        self.names = [name for name in sorted(self._index["cameras"]) if (self.folder / name).is_dir()]
+        if len(self.names) < FEWEST_CAMERAS:
             fault = f"only {len(self.names)} cameras see the object, a surface needs three"
-            raise UserError(run.capture.root, fault, "mend the masks of the others")
-        facts = self._olat / files.FITTED_LOBE
+            raise UserError(root, fault, "mend the masks of the others")
+        facts = self.folder / files.FITTED_LOBE
         self.lobe = str(json.loads(facts.read_text())["lobe"])
 
     def __len__(self) -> int:
@@ -80,7 +94,7 @@ class Rig:
         """One camera's maps. Raises UserError."""
         entry = self._index["cameras"][name]
         camera = camera_from_frame({"file_path": name, **entry["camera"]}, {}, self._index_path)
-        maps = {key: read_image(files.camera_map(self._olat / name, key), channels) for key, channels in CHANNELS.items()}
+        maps = {key: read_image(files.camera_map(self.folder / name, key), channels) for key, channels in CHANNELS.items()}
         mask = self._mask(name, entry, maps["normal"])
         flag = maps.pop("residual")[..., 0]
         fitted = maps["normal"].any(-1)

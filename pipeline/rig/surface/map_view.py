@@ -42,7 +42,15 @@ class MapView:
 
 
 def sampled(image: Float, pixels: Float) -> Float:
-    """Bilinear samples [N, ...] of an image [H, W, ...] at columns and rows [N, 2]; beyond its edge (or NaN) the edge's."""
+    """Sample an image bilinearly.
+
+    Args:
+        image: any number of channels. [H, W, ...]
+        pixels: columns and rows, centres at whole numbers; beyond the edge (or NaN) they take the edge's. [N, 2]
+
+    Returns:
+        Samples. [N, ...]
+    """
     height, width = image.shape[:2]
     x = np.clip(np.nan_to_num(pixels[:, 0]), 0, width - 1.001)
     y = np.clip(np.nan_to_num(pixels[:, 1]), 0, height - 1.001)
@@ -57,7 +65,15 @@ def sampled(image: Float, pixels: Float) -> Float:
 
 
 def inside_frame(pixels: Float, width: int, height: int) -> NDArray[np.bool_]:
-    """Which columns and rows [N, 2] lie between pixel centres of a frame."""
+    """Tell which places lie between pixel centres of a frame.
+
+    Args:
+        pixels: columns and rows, centres at whole numbers. [N, 2]
+        width, height: of the frame.
+
+    Returns:
+        Whether each does. [N]
+    """
     with np.errstate(invalid="ignore"):
         return (pixels >= 0).all(-1) & (pixels[:, 0] <= width - 1) & (pixels[:, 1] <= height - 1)
 
