@@ -13,6 +13,7 @@ from typing import Any
 from pipeline.capture import Capture
 from pipeline.capture.view_rules import TEST_EVERY
 from pipeline.engine.costs import COMPILING, ITSELF, Cost
+from pipeline.environments import DEFAULT
 from stages.kept_kernels import compiling_s
 from stages.object_share import object_share
 
@@ -152,8 +153,8 @@ def mesh(capture: Capture, parameters: Any) -> Costs:
     around = 4 * pixels / views * share  # megapixels of the object's whole surface
     fine = min(1.0, 1 / parameters.voxel_px**2)
     return {
-        ITSELF: Cost(3.0 + 2.0 * pixels + 160 * around * fine, 390.0 + 55 * pixels),
-        "textures": Cost(2.0 + 90 * around / parameters.texel_px**2, 200 * around),
+        ITSELF: Cost(1.8 + 2.0 * pixels + 200 * around * fine, 390.0 + 55 * pixels),
+        "textures": Cost(1.5 + 130 * around / parameters.texel_px**2, 200 * around),
         "poisson": Cost(2.5 * 4 ** (parameters.poisson_depth - 8) + 40 * around, 150.0),
     } | _compiling("mesh")
 
@@ -168,7 +169,7 @@ def relight(capture: Capture, parameters: Any) -> Costs:
     Returns:
         What the stage itself and each of its passes take, by name.
     """
-    maps = max(1, len(capture.environments) + bool(parameters.lights))
+    maps = (len(capture.environments) or len(DEFAULT)) + bool(parameters.lights)
     pixels, views = _megapixels(capture), len(capture.pixels)
     share = object_share(capture)
     if capture.light_stage is not None:
@@ -177,7 +178,9 @@ def relight(capture: Capture, parameters: Any) -> Costs:
     tree = parameters.mirror.startswith("tree")
     lit = pixels * share * maps
     return {
-        ITSELF: Cost(2.0 + 0.06 * views + 0.9 * maps + lit * (14 if tree else 4), 500.0 + 3.5 * parameters.cube),
+        ITSELF: Cost(
+            2.5 + 0.06 * views + 1.2 * maps * parameters.cube / 128 + lit * (18 if tree else 5), 500.0 + 3.5 * parameters.cube
+        ),
         "indirect": Cost(1.5 + 3 * lit, 80.0),
         "turntable": Cost(0.15 * maps * max(1, parameters.turntable), 20.0), **_compiling("relight"),
     }  # fmt: skip
