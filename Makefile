@@ -22,7 +22,7 @@ export CAPTURE DATASET PARAMS ENVS DEVICE JOBS CAPTURES MEMORY DEMO
 SETTINGS = --dataset="$$DATASET" --params="$$PARAMS" --envs="$$ENVS" --device="$$DEVICE" --jobs="$$JOBS" --memory="$$MEMORY"
 OPTIONS = $(if $(CAPTURE),"$$CAPTURE") $(SETTINGS)
 
-.PHONY: all plan inspect report tradeoff batch verify gc $(STAGES) setup demo test test-fast crash-test lint bench $(BENCHES) stability clean help
+.PHONY: all plan inspect report tradeoff batch verify gc $(STAGES) setup demo test test-fast crash-test lint bench $(BENCHES) stability bench-gpu clean help
 .DEFAULT_GOAL := help
 
 all plan inspect report tradeoff $(STAGES): $(READY)
@@ -82,6 +82,11 @@ $(VENV)/.bench: $(READY)
 
 stability: $(READY)  ## stiff and extreme cases, every verdict in docs/stability.md
 	$(BIN)/python -m benchmarks.stability
+
+bench-gpu: $(VENV)/.bench  ## on a machine with an NVIDIA GPU: tests of the CUDA path, rasteriser and training beside the CPU's
+	$(TESTS) tests/rasterize tests/train/test_device.py
+	$(BIN)/python -m benchmarks.bench_rasterize --cuda --no-reference --json build/rasterize-gpu.json
+	$(BIN)/python -m benchmarks.bench_train --device cuda --quick --out build/bench-gpu $(if $(CAPTURES),--captures "$$CAPTURES")
 
 $(BENCHES): $(VENV)/.bench
 	$(BIN)/python -m benchmarks --only $(@:bench-%=%) $(if $(CAPTURES),--captures "$$CAPTURES")

@@ -1,6 +1,7 @@
 """Training: error against run time for full Stokes, two unknown polarisers and RGB only, and what each piece buys.
 
     python -m benchmarks.bench_train --captures DIR [--out DIR] [--iterations N] [--quick] [--resume] [--only NAME ...]
+        [--device cuda]
 
 DIR holds captures with `gt/` (or the environment variable POLARFIELD_CAPTURES). Each capture with full Stokes images is
 trained as it is, as if photographed behind two polarisers of unknown angle (23 and 110 degrees, alternating views), and
@@ -108,10 +109,10 @@ def figures(trainer: Any, sources: list[Any], truth: list[Any], folder: Path) ->
             if source.split != "test":
                 continue
             blank = replace(source, mask=np.ones_like(source.mask), valid=np.ones_like(source.valid))
-            view = prepare(blank, trainer.frame, True)
+            view = prepare(blank, trainer.frame, True, trainer.scene.model["position"].device)
             rendered = trainer.renderer.render_whole(view)
             full = (source.mask > 0.99).reshape(-1)
-            stokes = rendered.stokes / trainer.frame.exposure
+            stokes = rendered.stokes.cpu() / trainer.frame.exposure
             target = torch.as_tensor(true.image.reshape(-1, *true.image.shape[2:]))
             values.setdefault("psnr_srgb", []).append(psnr(stokes[:, 0], target[:, 0], 1.0))
             values.setdefault("psnr_foreground", []).append(psnr(stokes[full, 0], target[full, 0], 1.0))
@@ -121,9 +122,9 @@ def figures(trainer: Any, sources: list[Any], truth: list[Any], folder: Path) ->
             path = folder / "gt" / "normal" / f"{k:03d}.exr"
             if path.exists():
                 normal = read_image(path, ("X", "Y", "Z")).reshape(-1, 3)[full]
-                shown = mean_normals(trainer.scene.model.activated(), view, "cpu", openings)
+                shown = mean_normals(trainer.scene.model.activated(), view, trainer.renderer.backend, openings)
                 shown = torch.where((shown != 0).any(-1, keepdim=True), shown, rendered.gbuffer.normal)
-                ours = trainer.frame.directions_to_world(shown.numpy()[full])
+                ours = trainer.frame.directions_to_world(shown.cpu().numpy()[full])
                 cosine = (normal * ours).sum(-1) / np.maximum(np.linalg.norm(normal, axis=-1), 1e-9)
                 values.setdefault("normal_mae_deg", []).append(float(np.degrees(np.arccos(np.clip(cosine, -1, 1))).mean()))
             values.setdefault("ior", []).append(float(rendered.gbuffer.ior[full].mean()))
@@ -131,7 +132,7 @@ def figures(trainer: Any, sources: list[Any], truth: list[Any], folder: Path) ->
     out = {name: float(np.mean(v)) for name, v in values.items()}
     env = folder / "gt" / "env.hdr"
     if env.exists():
-        cube = trainer.scene.environment.radiance().detach().double().numpy() / trainer.frame.exposure
+        cube = trainer.scene.environment.radiance().detach().cpu().double().numpy() / trainer.frame.exposure
         ours = torch.as_tensor(latlong.from_cube(cube, 64, 128).astype(np.float32))
         true_map = read_image(env)[..., :3]
         fy, fx = true_map.shape[0] // 64, true_map.shape[1] // 128
@@ -141,7 +142,14 @@ def figures(trainer: Any, sources: list[Any], truth: list[Any], folder: Path) ->
 
 
 def train_once(
-    sources: list[Any], truth: list[Any], mode: str, up: str, folder: Path, changes: dict[str, Any], looks: int
+    sources: list[Any],
+    truth: list[Any],
+    mode: str,
+    up: str,
+    folder: Path,
+    changes: dict[str, Any],
+    looks: int,
+    device: str = "cpu",
 ) -> dict[str, Any]:
     """One run: figures at `looks` moments against training seconds (looking is not timed)."""
     import torch
@@ -157,11 +165,11 @@ def train_once(
     parameters = replace(TrainParameters(), **changes)
     begin = time.perf_counter()
     priors = {name: PolariserPrior() for name in ANGLES_DEG} if mode == "polarisers" else {}
-    start = prepare_training(sources, mode, priors, up, parameters, "cpu")  # type: ignore[arg-type]
+    start = prepare_training(sources, mode, priors, up, parameters, device)  # type: ignore[arg-type]
     if start.scene.bank is not None:
         for name, angle in search_angles(sources, priors, sorted(ANGLES_DEG), up, parameters, Progress()).items():
             start.scene.bank.set_angle(name, float(np.radians(angle)))
-    trainer = Trainer(start.scene, start.pyramids, mode, start.frame, parameters, "cpu")  # type: ignore[arg-type]
+    trainer = Trainer(start.scene, start.pyramids, mode, start.frame, parameters, device)  # type: ignore[arg-type]
     spent = time.perf_counter() - begin
     marks = {round(parameters.iterations * (k + 1) / looks) for k in range(looks)}
     curve = []
@@ -205,7 +213,13 @@ def plot(results: dict[str, Any], path: Path) -> None:
 
 def save(results: dict[str, Any], out: Path) -> None:
     """Write figures and pictures of what has been run so far."""
-    machine = {"cpu": platform.processor() or platform.machine(), "cores": os.cpu_count()}
+    import torch
+
+    machine = {
+        "gpu": torch.cuda.get_device_name() if torch.cuda.is_available() else None,
+        "cpu": platform.processor() or platform.machine(),
+        "cores": os.cpu_count(),
+    }
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     report = {"machine": machine, "peak_rss_mb": peak, "captures": results}
     (out / "train.json").write_text(json.dumps(report, indent=1) + "\n")
@@ -219,6 +233,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("build/bench"))
     parser.add_argument("--only", nargs="*", default=[], help="capture names")
     parser.add_argument("--iterations", type=int, default=0, help="steps a run; 0 = the default")
+    parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu", help="what trains")
     parser.add_argument("--quick", action="store_true", help="modes only, no ablations")
     parser.add_argument("--resume", action="store_true", help="keep runs of today's parameters in OUT/train.json")
     arguments = parser.parse_args()
@@ -244,7 +259,7 @@ def main() -> None:
             if name == NO_CONCAVITIES and not found_concavities(runs["stokes"]):
                 continue  # there is nothing to switch off
             print(f"{folder.name}: {name}", flush=True)
-            runs[name] = train_once(as_mode(truth, as_what), truth, as_what, up, folder, changes, 4)
+            runs[name] = train_once(as_mode(truth, as_what), truth, as_what, up, folder, changes, 4, arguments.device)
             save(results, arguments.out)
     save(results, arguments.out)
 

@@ -110,18 +110,50 @@ def extend(texels: torch.Tensor) -> torch.Tensor:
 
 def lookup(table: torch.Tensor, directions: torch.Tensor, resolution: int) -> torch.Tensor:
     """Bilinear lookup of an extended table [6 R^2 + 8, C] in directions [P, 3] (any length) -> [P, C]."""
+    return lookup_at(table, directions, resolution, on_device("rows", resolution, table.device), 0)
+
+
+def lookup_at(
+    table: torch.Tensor,
+    directions: torch.Tensor,
+    resolution: torch.Tensor | int,
+    rows: torch.Tensor,
+    begin: torch.Tensor | int,
+) -> torch.Tensor:
+    """Bilinear lookup in extended tables that lie one after another, each direction in its own.
+
+    Args:
+        table: the tables' rows. [T, C]
+        directions: any length. [P, 3]
+        resolution: of the table that a direction is looked up in. [P], or one for all
+        rows: the tables' `padded_indices`, flat, as rows of `table`. [B]
+        begin: where those of a direction's table begin in `rows`. [P], or one for all
+
+    Returns:
+        Values, differentiable in table and directions. [P, C]
+    """
     face, u, v = _torch_face_coordinates(directions)
     s = (u + 1) * (resolution / 2) + 0.5
     t = (v + 1) * (resolution / 2) + 0.5
     # Clamped as integers, so that a direction that is not finite reads somewhere, to no finite value.
-    i, j = (x.detach().floor().long().clamp(0, resolution) for x in (s, t))
+    most = torch.as_tensor(resolution, device=s.device)
+    i, j = (torch.minimum(x.detach().floor().long().clamp_min(0), most) for x in (s, t))
     s, t = (s - i)[:, None], (t - j)[:, None]
-    index = torch.as_tensor(padded_indices(resolution), device=table.device).long().reshape(-1)
-    row = (face * (resolution + 2) + j) * (resolution + 2) + i
-    below = row + resolution + 2
-    top = table[index[row]] * (1 - s) + table[index[row + 1]] * s
-    bottom = table[index[below]] * (1 - s) + table[index[below + 1]] * s
+    width = resolution + 2
+    first = begin + (face * width + j) * width + i
+    second = first + width
+    corner = [table.index_select(0, rows[k]) for k in (first, first + 1, second, second + 1)]
+    top = corner[0] * (1 - s) + corner[1] * s
+    bottom = corner[2] * (1 - s) + corner[3] * s
     return top * (1 - t) + bottom * t
+
+
+@lru_cache(maxsize=64)
+def on_device(what: str, resolution: int, device: torch.device) -> torch.Tensor:
+    """A constant table, copied to a device once: `rows` (`padded_indices`, flat), or `axes` (`AXES`, float64)."""
+    if what == "axes":
+        return torch.as_tensor(AXES, device=device)
+    return torch.as_tensor(padded_indices(resolution), device=device).long().reshape(-1)
 
 
 def texel_index(directions: torch.Tensor, resolution: int) -> torch.Tensor:
@@ -132,7 +164,7 @@ def texel_index(directions: torch.Tensor, resolution: int) -> torch.Tensor:
 
 
 def _torch_face_coordinates(d: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    axes = torch.as_tensor(AXES, dtype=d.dtype, device=d.device)
+    axes = on_device("axes", 0, d.device).to(d.dtype)
     magnitude = d.detach().abs()
     axis = magnitude.argmax(-1)
     major = d.gather(-1, axis[:, None])[:, 0]

@@ -79,31 +79,31 @@ def plain(
     across = torch.linalg.cross(fixed, along)
     moved = normal - fixed
     alpha = roughness * roughness
-    samples, weights = [], []
-    for cosine, sine, slope, share in facets.tolist():
-        tan = (slope * spread * alpha)[:, None]
-        h = (tan * (cosine * along + sine * across) + fixed) / torch.sqrt(1 + tan * tan)
-        h = h + moved * (fixed * h).sum(-1, keepdim=True).detach() - fixed * (moved * h.detach()).sum(-1, keepdim=True)
-        vh = (view * h).sum(-1)
-        out = 2 * vh[:, None] * h - view
-        with torch.no_grad():
-            nl, nh = (fixed * out).sum(-1), (fixed * h).sum(-1)
-            seen = (vh > _TINY.item()) & (nl > _TINY.item())
-            shadow = microfacet.masking(torch.where(seen, nl, 1.0), alpha, light.lobe)
-            reflected = fresnel.reflectance(torch.where(seen, vh, 1.0), eta)
-            weights.append(torch.where(seen, shadow * vh / nh * share * reflected, 0.0))
-        value = light.mirrored(out, (roughness * rest).clamp_min(limits.MIN_ROUGHNESS))
-        cos2, sin2 = surface_pattern(h, frame_x, frame_y)
-        square = (h * frame_x).sum(-1) ** 2 + (h * frame_y).sum(-1) ** 2
-        polarised = fresnel.specular_polarisation(torch.where(seen, vh, 1.0), square, eta)[:, None] * value
-        samples.append(torch.cat((value, cos2[:, None] * polarised, sin2[:, None] * polarised), dim=1))
-    weight = torch.stack(weights)
+    # One axis of facets before that of points: [K, P, 3].
+    cosine, sine, slope, share = torch.as_tensor(facets, device=normal.device).to(normal.dtype).T[..., None]
+    tan = (slope * spread * alpha)[..., None]
+    h = (tan * (cosine[..., None] * along + sine[..., None] * across) + fixed) / torch.sqrt(1 + tan * tan)
+    h = h + moved * (fixed * h).sum(-1, keepdim=True).detach() - fixed * (moved * h.detach()).sum(-1, keepdim=True)
+    vh = (view * h).sum(-1)
+    out = 2 * vh[..., None] * h - view
+    with torch.no_grad():
+        nl, nh = (fixed * out).sum(-1), (fixed * h).sum(-1)
+        seen = (vh > _TINY.item()) & (nl > _TINY.item())
+        shadow = microfacet.masking(torch.where(seen, nl, 1.0), alpha, light.lobe)
+        reflected = fresnel.reflectance(torch.where(seen, vh, 1.0), eta)
+        weight = torch.where(seen, shadow * vh / nh * share * reflected, 0.0)
+    blurred = (roughness * rest).clamp_min(limits.MIN_ROUGHNESS)
+    value = light.mirrored(out.reshape(-1, 3), blurred.expand(len(out), -1).reshape(-1)).reshape(out.shape)
+    cos2, sin2 = surface_pattern(h, frame_x, frame_y)
+    square = (h * frame_x).sum(-1) ** 2 + (h * frame_y).sum(-1) ** 2
+    polarised = fresnel.specular_polarisation(torch.where(seen, vh, 1.0), square, eta)[..., None] * value
+    samples = torch.cat((value, cos2[..., None] * polarised, sin2[..., None] * polarised), dim=-1)
     total = weight.sum(0)
     hidden = total <= 0
     weight = weight / torch.where(hidden, 1.0, total)
-    result = (weight[..., None] * torch.stack(samples)).sum(0)
+    result = (weight[..., None] * samples).sum(0)
     lost = 2 * (normal * view).sum(-1, keepdim=True) * normal - view
-    straight = light.mirrored(lost, (roughness * rest).clamp_min(limits.MIN_ROUGHNESS))
+    straight = light.mirrored(lost, blurred)
     return torch.where(hidden[:, None], straight, result[:, :3]), result[:, 3:].reshape(-1, 2, 3)
 
 

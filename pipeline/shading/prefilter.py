@@ -18,7 +18,7 @@ from pipeline.optics.microfacet import MIN_ROUGHNESS
 from pipeline.optics.sphere import cube_solid_angles
 
 from . import prefilter_kernels, splitsum
-from .cube import AXES, cube_directions, extended_size, lookup, padded_indices
+from .cube import AXES, cube_directions, extended_size, lookup, lookup_at, padded_indices
 from .light_tree import LightTree, light_tree
 from .symmetry import SymmetricMap, representatives
 
@@ -88,18 +88,14 @@ class LightField:
         return out
 
     def mirrored_plainly(self, directions: torch.Tensor, roughness: torch.Tensor) -> torch.Tensor:
-        """`mirrored` in torch: the definition."""
-        nodes = torch.as_tensor(self.roughnesses, dtype=roughness.dtype, device=roughness.device)
+        """`mirrored` in torch: the definition. Nothing in it waits for the device."""
+        nodes, sizes, rows, begin = _level_rows(self.roughnesses, self.specular, roughness.device)
+        nodes = nodes.to(roughness.dtype)
         k = torch.searchsorted(nodes, roughness.detach().contiguous(), right=True) - 1
         k = k.clamp(0, len(self.roughnesses) - 2)
         t = ((roughness - nodes[k]) / (nodes[k + 1] - nodes[k]))[:, None]
-        out = directions.new_zeros(directions.shape)
-        for index, level in enumerate(self.specular):
-            weight = torch.where((k == index)[:, None], 1 - t, torch.where((k + 1 == index)[:, None], t, 0))
-            used = torch.nonzero((k == index) | (k + 1 == index))[:, 0]
-            value = lookup(level.of(self.packed), directions[used], level.resolution)
-            out = out.index_add(0, used, weight[used] * value)
-        return out
+        below, above = (lookup_at(self.packed, directions, sizes[m], rows, begin[m]) for m in (k, k + 1))
+        return (1 - t) * below + t * above
 
     def irradiance(self, normals: torch.Tensor, transmitted: bool) -> torch.Tensor:
         """Integral of L (n.w) d omega [P, 3], with T(n.w) at eta = 1.5 inside if `transmitted`."""
@@ -109,6 +105,22 @@ class LightField:
     def tables(self) -> tuple[np.ndarray, ...]:
         """What the fused kernels need beside `packed`: see `_fused_tables`."""
         return _fused_tables(self.roughnesses, (*self.specular, self.transmitted), self.lobe)
+
+
+@lru_cache(maxsize=8)
+def _level_rows(
+    roughnesses: tuple[float, ...], levels: tuple[Level, ...], device: torch.device
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+    """What `cube.lookup_at` needs to look each direction up in a level of its own, copied to a device once.
+
+    (roughness nodes [L] float64, resolutions [L], rows of the packed table under every level's padded cube [B], where each
+    level's begin [L])
+    """
+    blocks = [padded_indices(level.resolution).ravel().astype(np.int64) + level.start for level in levels]
+    begin = np.concatenate(([0], np.cumsum([len(block) for block in blocks])[:-1]))
+    sizes = np.array([level.resolution for level in levels])
+    nodes, *others = (torch.as_tensor(a, device=device) for a in (np.array(roughnesses), sizes, np.concatenate(blocks), begin))
+    return nodes, others[0], others[1], others[2]
 
 
 @lru_cache(maxsize=8)

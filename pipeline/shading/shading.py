@@ -148,7 +148,7 @@ def body_transmission(cosine: torch.Tensor, eta: torch.Tensor, fresnel: str) -> 
     """
     if fresnel == "schlick":
         return (1 - optics.schlick(cosine, eta)) / torch.pi
-    reference = torch.tensor(prefilter_kernels.REFERENCE_IOR, dtype=eta.dtype, device=eta.device)
+    reference = torch.tensor(prefilter_kernels.REFERENCE_IOR, dtype=eta.dtype)  # on the CPU: a number, which mixes with any
     entering = optics.hemispherical_transmittance(eta) / optics.hemispherical_transmittance(reference)
     return optics.transmittance(cosine, eta) * entering / torch.pi
 
@@ -176,8 +176,7 @@ def mirror_reflection(
         (albedo [P] in 0..1, beta / sin^2 [P] >= 0).
     """
     where = (roughness * (splitsum.ROUGHNESS_NODES - 1), cosine.sqrt() * (splitsum.COSINE_NODES - 1))
-    table = splitsum.exact_table if fresnel == "exact" else splitsum.schlick_table
-    values = torch.as_tensor(table(lobe), dtype=cosine.dtype, device=cosine.device)
+    values = splitsum.table_on(fresnel, lobe, cosine.device).to(cosine.dtype)
     if fresnel == "schlick":
         tau0, tau1 = splitsum.lookup(values, where).unbind(-1)
         squared_sine = (normal * frame_x).sum(-1) ** 2 + (normal * frame_y).sum(-1) ** 2

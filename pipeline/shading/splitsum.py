@@ -112,6 +112,12 @@ def exact_table(lobe: str = "ggx") -> NDArray[np.float32]:
     return out
 
 
+@lru_cache(maxsize=8)
+def table_on(fresnel_model: str, lobe: str, device: torch.device) -> torch.Tensor:
+    """`exact_table` or `schlick_table` ("exact" or "schlick"), copied to a device once."""
+    return torch.as_tensor((exact_table if fresnel_model == "exact" else schlick_table)(lobe), device=device)
+
+
 def lookup(values: torch.Tensor, coordinates: tuple[torch.Tensor, ...]) -> torch.Tensor:
     """Multilinear lookup [P, C] of a table [n1, .., nk, C] at coordinates [P] in node units (clipped to the grid)."""
     corners: list[tuple[torch.Tensor, torch.Tensor]] = [

@@ -44,8 +44,8 @@ def write(folder: Path, packed: bytes) -> None:
         raise
 
 
-def load(folder: Path, say: Callable[[str], None] | None = None) -> dict[str, Any] | None:
-    """The last state saved; None where there is none, or a damaged one, of which `say` tells: training then starts afresh."""
+def load(folder: Path, say: Callable[[str], None] | None = None, device: str = "cpu") -> dict[str, Any] | None:
+    """The last state saved, on a device; None where there is none, or a damaged one: `say` tells, training starts afresh."""
     path = folder / NAME
     (folder / (NAME + ".new")).unlink(missing_ok=True)
     if not path.is_file():
@@ -56,7 +56,7 @@ def load(folder: Path, say: Callable[[str], None] | None = None) -> dict[str, An
             say(f"warning: {path}: is damaged, so that training starts afresh; check the disk")
         path.unlink()
         return None
-    state = torch.load(io.BytesIO(content[DIGEST_BYTES:]), weights_only=True)
+    state = torch.load(io.BytesIO(content[DIGEST_BYTES:]), map_location=device, weights_only=True)
     return state if state.pop("schema", None) == SCHEMA else None
 
 

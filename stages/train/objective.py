@@ -39,7 +39,7 @@ def compared(mode: Mode, scene: Scene, stokes: torch.Tensor, view: View) -> tupl
 
 def loss_terms(
     parameters: TrainParameters, mode: Mode, scene: Scene, view: View, rendered: Rendered
-) -> tuple[dict[str, torch.Tensor], dict[str, float]]:
+) -> tuple[dict[str, torch.Tensor], dict[str, torch.Tensor]]:
     """All weighted losses of a view (PhyGaP Eq. 10, and the environment's smoothness).
 
     Args:
@@ -49,7 +49,7 @@ def loss_terms(
         view, rendered: what was measured, and the scene's rendering of it.
 
     Returns:
-        Scalars by name, whose sum is the step's loss, and the parts of "surface" as plain numbers.
+        Scalars by name, whose sum is the step's loss, and the parts of "surface", without a gradient.
     """
     environment = ENVIRONMENT_UNIT * parameters.weight_environment * scene.environment.roughness_of()
     if parameters.losses == "printed" and len(view.pixels):
@@ -60,7 +60,7 @@ def loss_terms(
     terms["mask"] = parameters.weight_mask * mask
     terms["surface"], parts = _surface_term(parameters, scene, rendered)
     terms["environment"] = environment
-    return terms, {"depth_normal": float(parts[0]), "smooth": float(parts[1:].sum())}
+    return terms, {"depth_normal": parts[0], "smooth": parts[1:].sum()}
 
 
 def _image_terms(p: TrainParameters, mode: Mode, scene: Scene, view: View, rendered: Rendered) -> dict[str, torch.Tensor]:

@@ -44,7 +44,7 @@ def train(stage: StageRun) -> None:
     start = prepare_training(sources, mode, stage.capture.polarisers, stage.capture.up, parameters, stage.device, points)
     tell_start(start, stage)
     find_polarisers(start, sources, stage, points)
-    backend = "cuda" if stage.device.startswith("cuda") else "cpu"
+    backend = "cpu" if stage.device == "cpu" else "cuda"
     trainer = Trainer(start.scene, start.pyramids, mode, start.frame, parameters, backend)
     history = optimise(trainer, stage, started)
     if trainer.scene.bank is not None:
@@ -73,7 +73,7 @@ def tell_start(start: Start, stage: StageRun) -> None:
 def find_polarisers(start: Start, sources: list[SourceView], stage: StageRun, points: np.ndarray = NO_POINTS) -> None:
     """Start values for polariser angles of which nothing is known (a resumed run has them already)."""
     bank = start.scene.bank
-    if bank is None or checkpoint.load(stage.scratch, stage.progress.say) is not None:
+    if bank is None or checkpoint.load(stage.scratch, stage.progress.say, stage.device) is not None:
         return
     unknown = [name for name, settled in zip(bank.names, bank.settled) if not settled]
     if unknown:

@@ -70,7 +70,8 @@ class Trainer:
         torch.stack(list(terms.values())).sum().backward()
         self.update(rendered, phase)
         self.iteration += 1
-        return {name: float(value.detach()) for name, value in terms.items() if name != "surface"} | surface_parts
+        told = {name: value.detach() for name, value in terms.items() if name != "surface"} | surface_parts
+        return dict(zip(told, torch.stack([value.double() for value in told.values()]).tolist()))  # a GPU is waited for once
 
     def update(self, rendered: Rendered, phase: Phase) -> None:
         """Move everything along the gradients that a rendering's loss has left."""

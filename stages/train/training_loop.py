@@ -37,7 +37,7 @@ def optimise(trainer: Trainer, stage: StageRun, started: float) -> History:
     An interrupt keeps the state of the last multiple of `Upkeep.period`, from where the next run goes on.
     """
     parameters, history = trainer.parameters, History()
-    saved = checkpoint.load(stage.scratch, stage.progress.say)
+    saved = checkpoint.load(stage.scratch, stage.progress.say, stage.device)
     if saved is not None:
         trainer.load(saved["trainer"])
         history = History(**saved["history"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -31,12 +32,23 @@ class SurfaceGraph:
         """`rounds` steps of replacing per-splat values [N, C] by half themselves and half their neighbours' mean."""
         if values.device.type == "cpu":
             return self._diffuse_cpu(values, rounds)
-        i, j = self.edges
-        degree = (self.indptr[1:] - self.indptr[:-1]).to(values.dtype)[:, None]
+        return self.diffuse_plainly(values, rounds)
+
+    def diffuse_plainly(self, values: torch.Tensor, rounds: int) -> torch.Tensor:
+        """`diffuse` in torch, in one order of summation on any device: the definition."""
+        half = 0.5 / (self.neighbours < len(self)).sum(1, keepdim=True).to(values.dtype)  # infinite where there is none
         for _ in range(rounds):
-            total = torch.zeros_like(values).index_add_(0, i, values[j]).index_add_(0, j, values[i])
-            values = torch.where(degree > 0, 0.5 * values + 0.5 * total / degree.clamp_min(1), values)
+            total = torch.cat((values, values.new_zeros(1, values.shape[1])))[self.neighbours].sum(1)
+            values = torch.where(half < 1, torch.addcmul(0.5 * values, half, total), values)
         return values
+
+    @cached_property
+    def neighbours(self) -> torch.Tensor:
+        """Each splat's neighbours, filled up with N. [N, most of any] int64"""
+        degree = self.indptr[1:] - self.indptr[:-1]
+        place = torch.arange(int(degree.max()) if len(self) else 0, device=degree.device)
+        row = (self.indptr[:-1, None] + place).clamp_max(max(len(self.indices) - 1, 0))
+        return torch.where(place < degree[:, None], self.indices[row.long()], len(self)).long()
 
     def _diffuse_cpu(self, values: torch.Tensor, rounds: int) -> torch.Tensor:
         from .surface_kernels import diffuse_rows

@@ -114,7 +114,7 @@ def prepare(source: SourceView, frame: SceneFrame, black: bool, device: str = "c
         split=source.split,
         camera=camera,
         world_to_camera=tensor(camera.world_to_camera),
-        intrinsics=tensor(camera.intrinsics),
+        intrinsics=torch.as_tensor(camera.intrinsics, dtype=torch.float32),  # stays here: rasterisers read single numbers of it
         pixels=torch.as_tensor(index, device=device),
         target=tensor(image),
         colour_weight=torch.ones(len(index), device=device),
