@@ -13,6 +13,7 @@ from typing import Any
 from pipeline.capture import Capture
 from pipeline.capture.view_rules import TEST_EVERY
 from pipeline.engine.costs import COMPILING, ITSELF, Cost
+from pipeline.environments import DEFAULT
 from stages.kept_kernels import compiling_s
 from stages.object_share import object_share
 
@@ -20,7 +21,7 @@ Costs = dict[str, Cost]
 MEGA = 1e6
 LIGHTS = 346  # of a light stage that a capture is not: LSX3's
 SURFACE = 320.0  # s a megapixel of the object, for the surface on which the cameras of a light stage agree
-LATE = 200  # steps of training before which nothing is traced
+LATE = 200  # steps of training before which nothing is traced or validated
 
 
 def decode(capture: Capture, parameters: Any) -> Costs:
@@ -117,26 +118,25 @@ def train(capture: Capture, parameters: Any) -> Costs:
     pixels, share = _megapixels(capture), object_share(capture)
     seen = pixels / views * share  # megapixels of the object in a view
     splats = min(parameters.max_splats, 4 * seen * MEGA / parameters.splat_pixels**2)  # a ball's surface is four times its disc
-    steps, tests = parameters.iterations, views / TEST_EVERY
-    shading = 1.6 * MIRRORS.get(parameters.mirror, 1.0)  # s a megapixel
-    step = 0.005 + shading * seen + 1.3e-6 * splats
-    lit = 2.0 + 0.15 * views + 2e-4 * splats  # splats_lit.ply
+    steps = parameters.iterations
+    step = 0.019 + 6.2 * MIRRORS.get(parameters.mirror, 1.0) * seen
     unknown = sum(p.angle_deg is None or not p.trusted for p in capture.polarisers.values()) or 1
     starts = 4 ** min(unknown, 2)
     late = max(steps - LATE, 0)
+    whole = 1.2 + 0.02 * views + 1.25e-4 * splats + 0.91 * steps * step + late * (0.015 + 9e-7 * splats)
     return {
-        ITSELF: Cost(5.0 + lit + steps * step + views * (0.25 + 6 * seen) + 0.3 * tests, 650.0 + 100 * pixels + 3e-3 * splats),
-        "indirect": Cost(late * (0.008 + 0.7 * seen) + 1.0, 60.0),
+        ITSELF: Cost(whole, 650.0 + 100 * pixels + 3e-3 * splats),
+        "indirect": Cost(late * (0.008 + 0.4 * seen) + 1.0, 60.0),
         "concavities": Cost(4.0 if late else 0.0, 40.0),
         "polariser_angles": Cost(1.5 + 0.012 * (60 * starts + 80 * 5 + 100 * 2), 25.0 * starts),
-        "polarisation_loss": Cost(0.1 * steps * step, 24 * pixels * share),
+        "polarisation_loss": Cost(0.09 * steps * step, 24 * pixels * share),
         "start_from_points": Cost(0.5, 5.0),
-        "pixels outside the masks": Cost(steps * shading * pixels / views * (1 - share), 100 * pixels * (1 - share)),
+        "pixels outside the masks": Cost(steps * (step - 0.019) / share * (1 - share), 100 * pixels * (1 - share)),
         **_compiling("train"),
     }  # fmt: skip
 
 
-MIRRORS = {"split": 0.5, "lobe-4": 0.7, "lobe-12": 1.0, "lobe-24": 1.5}
+MIRRORS = {"split": 0.5, "lobe-4": 0.7, "lobe-12": 1.0, "lobe-24": 1.5, "tree-coarse": 2.5, "tree": 3.0, "tree-fine": 4.0}
 """Time of an object's pixel by `mirror`, beside the default's."""
 
 
@@ -155,8 +155,8 @@ def mesh(capture: Capture, parameters: Any) -> Costs:
     around = 4 * pixels / views * share  # megapixels of the object's whole surface
     fine = min(1.0, 1 / parameters.voxel_px**2)
     return {
-        ITSELF: Cost(3.0 + 2.0 * pixels + 160 * around * fine, 390.0 + 55 * pixels),
-        "textures": Cost(2.0 + 90 * around / parameters.texel_px**2, 200 * around),
+        ITSELF: Cost(1.8 + 2.0 * pixels + 200 * around * fine, 390.0 + 55 * pixels),
+        "textures": Cost(1.5 + 130 * around / parameters.texel_px**2, 200 * around),
         "poisson": Cost(2.5 * 4 ** (parameters.poisson_depth - 8) + 40 * around, 150.0),
     } | _compiling("mesh")
 
@@ -171,7 +171,7 @@ def relight(capture: Capture, parameters: Any) -> Costs:
     Returns:
         What the stage itself and each of its passes take, by name.
     """
-    maps = max(1, len(capture.environments) + bool(parameters.lights))
+    maps = (len(capture.environments) or len(DEFAULT)) + bool(parameters.lights)
     pixels, views = _megapixels(capture), len(capture.pixels)
     share = object_share(capture)
     if capture.light_stage is not None:
@@ -180,7 +180,9 @@ def relight(capture: Capture, parameters: Any) -> Costs:
     tree = parameters.mirror.startswith("tree")
     lit = pixels * share * maps
     return {
-        ITSELF: Cost(2.0 + 0.06 * views + 0.9 * maps + lit * (14 if tree else 4), 500.0 + 3.5 * parameters.cube),
+        ITSELF: Cost(
+            2.5 + 0.06 * views + 1.2 * maps * parameters.cube / 128 + lit * (18 if tree else 5), 500.0 + 3.5 * parameters.cube
+        ),
         "indirect": Cost(1.5 + 3 * lit, 80.0),
         "turntable": Cost(0.15 * maps * max(1, parameters.turntable), 20.0), **_compiling("relight"),
     }  # fmt: skip

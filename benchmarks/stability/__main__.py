@@ -49,18 +49,19 @@ def main() -> int:
             print(f"{'sound' if row.sound else 'FAILS'}  {row.part}: {row.name}, {row.setting}  {row.why}", flush=True)
         stored.setdefault("finished", {})[part] = stamp["commit"]
         _write(kept, stamp, stored)
-    PAGE.write_text(page(kept, {**stamp, "finished": stored.get("finished", {})}))
     failed = sum(not row.sound for row in kept)
     print(f"{len(kept)} cases, {failed} fail: {PAGE}")
     return 1 if failed else 0
 
 
 def _write(rows: list[Row], stamp: dict[str, str], stored: dict) -> None:
+    """Keep the rows so far, and the page that they make."""
     rows.sort(key=lambda row: list(TITLES).index(row.part))
     out = {**stamp, "finished": stored.get("finished", {}), "rows": [asdict(row) for row in rows]}
     part = RESULTS.with_suffix(".part")
     part.write_text(json.dumps(out, indent=1) + "\n")
     part.replace(RESULTS)
+    PAGE.write_text(page(rows, out))
 
 
 def _captures(work: Path) -> Path:

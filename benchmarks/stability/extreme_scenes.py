@@ -20,6 +20,9 @@ from synth.shape import Shape, glaze, vase, vertex_normals
 
 SIZE, VIEWS, SAMPLES = 64, 12, 64
 HALF_FIELD_DEG, DISTANCE, BOUNCES = 14.5, 5.0, 4
+EXTENT = 2.0  # of the vase, its longest side
+PIXEL_PCT = 100 * 2 * DISTANCE * np.tan(np.radians(HALF_FIELD_DEG)) / SIZE / EXTENT
+"""A pixel's footprint on the object, in percent of its size."""
 PLASTIC = {"type": "pplastic", "alpha": 0.15, "int_ior": 1.5}
 Map = NDArray[np.float64]
 
@@ -160,6 +163,9 @@ def _eight_bit(capture: Path) -> None:
     table.write_text(table.read_text().replace(".exr", ".png"))
 
 
+WORLDS = {"world x 1e-3": (1e-3, 0.0), "world x 1e4": (1e4, 0.0), "world shifted by 1e5 of its size": (1.0, 2e5)}
+"""Scale and shift of the cases whose world is another."""
+
 SPOILED: dict[str, Callable[[Path], None]] = {
     "black": _radiance(lambda image, k: 0 * image),
     "negative": _radiance(lambda image, k: -np.abs(image)),
@@ -168,9 +174,7 @@ SPOILED: dict[str, Callable[[Path], None]] = {
     "20 % saturated": _radiance(_saturated),
     "radiance x 1e-30": _radiance(lambda image, k: image * np.float32(1e-30)),
     "radiance x 1e30": _radiance(lambda image, k: image * np.float32(1e30)),
-    "world x 1e-3": _world(1e-3, 0.0),
-    "world x 1e4": _world(1e4, 0.0),
-    "world shifted by 1e5 of its size": _world(1.0, 2e5),
+    **{name: _world(*how) for name, how in WORLDS.items()},
     "8-bit sRGB photographs": _eight_bit,
 }
 """What is done to a copy of the base capture."""

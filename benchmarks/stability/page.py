@@ -30,8 +30,10 @@ TITLES = {
     "whole runs": (
         "Whole runs",
         "`make all` on captures of 64 pixels and 200 steps: whether they end, not how good they are. Sound: ends (or, "
-        "where nothing can be made, refuses in one line), every value written is finite, and a warning says what the "
-        "model cannot explain.",
+        "where nothing can be made, refuses in one line), every value written is finite, a warning says what the model "
+        "cannot explain, the same capture in other units gives the same, and nothing is wrong without a word: the true surface "
+        "more than a pixel (2 %) off where a view sees it, or unseen views at twice the base's error. *surface_pct*: median "
+        "distance of the true surface, where it is seen, from the mesh, in percent of its size.",
     ),
     "options": (
         "Every option of the light stage",

@@ -21,5 +21,6 @@ def is_kept(file: str) -> bool:
     folder, path = storage.place(), storage.ROOT / file
     if folder is None or not path.is_file():
         return False
+    # A mark says that the file was loaded, which is no sign that any of its kernels was ever called.
     label = storage.label(freshness.dotted(path), freshness.digest(path))
-    return any(f"-{label}." in name for name in os.listdir(folder))
+    return any(f"-{label}." in name and not name.endswith(".mark") for name in os.listdir(folder))

@@ -14,6 +14,8 @@ PSNR_CEILING_DB = 120.0  # of equal images
 SSIM_SIGMA, SSIM_RADIUS = 1.5, 5  # Wang et al. 2004: an 11-pixel Gaussian window
 BLACK = 1e-4  # s0 below which noise would be wholly polarised
 DARK = 0.01  # luminance below which DoLP is noise over nothing
+FIRST_STEP = 1 / 255 / 12.92  # linear radiance of the first of a display's 255 levels
+SEEN = 0.01  # share of samples between the first level and the last, below which a figure of display values is of nothing
 POLARISED = 0.05  # DoLP below which an angle means nothing
 
 
@@ -54,6 +56,11 @@ def normal_figures(normal: Image, truth: Image, mask: Mask) -> dict[str, float]:
     error = angle_deg(normal, truth)
     error = np.where(np.linalg.norm(normal, axis=-1) > 0, error, 90.0)[mask]
     return {"normal_mae_deg": float(error.mean()), "normal_cosine_distance": float((1 - np.cos(np.radians(error))).mean())}
+
+
+def displayable(truth: NDArray) -> bool:
+    """Whether PSNR and SSIM, which see [0, 1] in steps of a display, see anything of radiance [..., 3]."""
+    return float(np.mean((truth > FIRST_STEP) & (truth < 1))) > SEEN
 
 
 def radiance_figures(image: Image, truth: Image, mask: Mask) -> dict[str, float]:

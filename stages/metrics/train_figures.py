@@ -15,7 +15,7 @@ from pipeline.formats.images import RGB, read_exr, read_image, read_stokes, srgb
 from pipeline.report.explained import Explained, doubts, explained
 
 from .environment_figures import environment_figures
-from .image_figures import erode, normal_figures, polarisation_figures, radiance_figures
+from .image_figures import displayable, erode, normal_figures, polarisation_figures, radiance_figures
 from .lpips_distance import lpips
 from .lpips_distance import missing as lpips_missing
 from .material_figures import MAPS, holes_pct, material_figures
@@ -26,6 +26,7 @@ from .targets import read_target
 
 NORMALS = ("normal_mae_deg", "normal_cosine_distance")
 RADIANCE = ("psnr_srgb", "psnr_foreground", "ssim")
+UNSEEN = "the object's radiance lies outside what they look at, 0 to 1: [stokes] scale in capture.toml brings it there"
 POLARISATION = ("dolp_mae", "aolp_mae_deg")
 ENVIRONMENT = ("env_psnr", "env_psnr_scaled", "env_log_correlation")
 
@@ -46,7 +47,8 @@ def train_table(train: Path, decode: Path, masks: Path | None, truth: Truth, fra
     table.means()
     table.missing(NORMALS, "the capture has no gt/normal")
     behind = frames.get("polarisation") == "polarisers"
-    table.missing(RADIANCE, "the views were taken behind polarisers: s0 is not measured" if behind else "no test view")
+    unseen = UNSEEN if tests else "no test view"
+    table.missing(RADIANCE, "the views were taken behind polarisers: s0 is not measured" if behind else unseen)
     table.missing(MAPS, "the capture has no gt/material/VIEW.exr")
     table.missing(PART_FIGURES, "no gt/material/VIEW.exr holds that part (diffuse.R ..., specular.R ...)")
     if not behind:
@@ -94,10 +96,11 @@ def _view_figures(
             return out
         t = 2 * np.radians(angle)
         seen, suffix = 0.5 * (seen + stokes[:, :, 1] * np.cos(t) + stokes[:, :, 2] * np.sin(t)), "_behind_polariser"
-    figures = radiance_figures(seen, target.rgb, inside)
-    distance = lpips(srgb_encode(seen), srgb_encode(target.rgb))
-    figures |= {"lpips": distance} if distance is not None else {}
-    out |= {f"{name}{suffix}": value for name, value in figures.items()}
+    if displayable(target.rgb[inside]):
+        figures = radiance_figures(seen, target.rgb, inside)
+        distance = lpips(srgb_encode(seen), srgb_encode(target.rgb))
+        figures |= {"lpips": distance} if distance is not None else {}
+        out |= {f"{name}{suffix}": value for name, value in figures.items()}
     found = explained(seen[inside], target.rgb[inside], polarised, facts.get("noise") or 0.0)
     named = {"likeness": found.likeness, "off": found.off, "polarisation_unexplained": found.polarisation}
     return out | {name: value for name, value in named.items() if value is not None}

@@ -72,6 +72,15 @@ def test_what_is_remembered_is_read_again_and_damage_is_forgotten(cache):
     assert list(remembered().records) == ["mesh@cpu"]
 
 
+def test_rates_of_other_estimates_are_forgotten(cache):
+    remember("mesh", "cpu", record("a", 1.0, 2.0))
+    assert remembered().records
+    cache.write_text(cache.read_text().replace(f'"schema": {rates.SCHEMA}', '"schema": 1'))
+    assert not remembered().records
+    remember("mesh", "cpu", record("b", 1.0, 2.0))
+    assert [r.key for r in remembered().records["mesh@cpu"]] == ["b"]
+
+
 def test_rates_that_cannot_be_kept_stop_nothing(cache, monkeypatch):
     cache.parent.parent.write_text("a file where the folder should be")
     remember("train", "cpu", record("a", 2.0, 3.0))
@@ -82,8 +91,9 @@ def test_rates_that_cannot_be_kept_stop_nothing(cache, monkeypatch):
 
 
 def test_a_manifest_counts_on_its_own_machine_without_what_compiling_took():
-    manifest = {"machine": machine(), "key": "a", "version": 3, "cpu_s": 12.0, "wall_s": 24.0, "compile_s": 20.0}
-    assert record_of(manifest, 5.0) == Record("a", 5.0, 2.0, 4.0, 3)
+    manifest = {"machine": machine(), "key": "a", "version": 3, "cpu_s": 12.0, "wall_s": 24.0, "compile_s": 4.0}
+    assert record_of(manifest, 5.0) == Record("a", 5.0, 10.0, 20.0, 3)
+    assert record_of({**manifest, "compile_s": 20.0}, 5.0) is None  # what is left of it is no rate
     assert record_of({**manifest, "machine": "another"}, 5.0) is None
     assert record_of({**manifest, "cpu_s": "x"}, 5.0) is None and record_of({}, 5.0) is None
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.kernels import storage
+from pipeline.kernels import freshness, kept, storage
 
 NAME, NOW, OLD = "pipeline.kernels.numerics", "a" * 16, "b" * 16
 DAY = 86400.0
@@ -99,3 +99,15 @@ def test_code_that_the_installer_compiled_is_borrowed(tmp_path, monkeypatch) -> 
         _kept(installed, NAME, digest, days=40, used=40)
     storage.claim(mine, NAME, NOW)
     assert sorted(file.suffix for file in mine.iterdir()) == [".mark", ".nbc", ".nbi", ".o"]
+
+
+def test_kernels_of_a_file_that_was_only_loaded_have_yet_to_be_compiled(tmp_path, monkeypatch) -> None:
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    storage._place.cache_clear()
+    folder, file = storage.place(), "pipeline/kernels/numerics.py"
+    assert folder is not None
+    digest = freshness.digest(storage.ROOT / file)
+    storage.claim(folder, NAME, digest)
+    assert list(folder.glob("*.mark")) and not kept.is_kept.__wrapped__(file)
+    _kept(folder, NAME, digest, days=0)
+    assert kept.is_kept.__wrapped__(file)

@@ -8,6 +8,7 @@ from typing import Any
 
 from pipeline.capture import Capture
 from pipeline.engine.costs import COMPILING, ITSELF
+from pipeline.engine.costs.probe import slowness
 from pipeline.engine.costs.rates import Rate, Rates, record_of, remembered
 from pipeline.engine.dataset import Dataset
 from pipeline.engine.plan import Step
@@ -73,7 +74,7 @@ class Estimator:
             return None
         estimate = self.estimate_s(step)
         rate = self._rate(step, estimate)
-        compiling = costs[COMPILING].cpu_s * rate.cpu if COMPILING in costs else 0.0
+        compiling = costs[COMPILING].cpu_s * slowness() if COMPILING in costs else 0.0  # no matter how fast the stage is
         cpu = estimate * rate.cpu
         return Expected(cpu * rate.wall + compiling, cpu + compiling, estimate, rate.known)
 

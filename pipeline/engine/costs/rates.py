@@ -19,7 +19,8 @@ from pipeline.engine.costs.probe import cores, machine, slowness
 from pipeline.engine.dataset.documents import read_object, write_whole
 
 FILE = "rates.json"
-SCHEMA = 1
+SCHEMA = 2
+"""Raised with every change of what stages estimate: a rate is of an estimate."""
 KEPT = 3  # records of a stage and of a size (to the next power of two), the newest
 DOUBT = 0.25
 """Weight of what is taken for granted beside a record of a run that was just as large, which weighs 1."""
@@ -27,6 +28,8 @@ OLDER = 0.5  # weight of a record that another version of the stage left
 ALONE = 1.25
 """Wall seconds of a processor second from which on the machine was busy with other work, which says nothing of the next run."""
 NEAR = 0.5  # likeness of size from which on the quickest run tells how many cores a stage has when it is alone
+COMPILED = 0.25
+"""Share of a run's time from which on compiling hides its rate: numba counts the compiler, not the keeping of its code."""
 SHORTEST_S = 0.02  # of processor time, below which a record is all rounding
 
 
@@ -104,8 +107,7 @@ def place() -> Path | None:
 def remembered() -> Rates:
     """What runs on this machine have shown; empty where nothing is kept or what is kept is damaged."""
     out, path = Rates(), place()
-    table = (read_object(path) if path else None) or {}
-    kept = table.get("machines", {}).get(machine(), {}) if isinstance(table.get("machines"), dict) else {}
+    kept = _machines(path).get(machine(), {}) if path else {}
     for name, rows in (kept if isinstance(kept, dict) else {}).items():
         stage, _, device = name.partition("@")
         for row in rows if isinstance(rows, list) else []:
@@ -121,19 +123,28 @@ def remember(stage: str, device: str, record: Record) -> None:
         return
     rates = remembered()
     rates.add(stage, device, record)
-    table = read_object(path) or {}
-    machines = table["machines"] if isinstance(table.get("machines"), dict) else {}
+    machines = _machines(path)
     rows = {name: [vars(r) for r in kept] for name, kept in rates.records.items()}
     with contextlib.suppress(OSError):
         write_whole(path, json.dumps({"schema": SCHEMA, "machines": {**machines, machine(): rows}}, indent=1) + "\n")
 
 
+def _machines(path: Path) -> dict[str, Any]:
+    """What the file holds, by machine; nothing where it is damaged or of other estimates."""
+    table = read_object(path) or {}
+    machines = table.get("machines") if table.get("schema") == SCHEMA else None
+    return machines if isinstance(machines, dict) else {}
+
+
 def record_of(manifest: Mapping[str, Any], estimate_s: float) -> Record | None:
-    """What a manifest of this machine tells of a stage that was estimated at so much; None of another machine's."""
+    """What a manifest of this machine tells of a stage that was estimated at so much; None of another machine's, and of a run
+    that mostly compiled."""
     if manifest.get("machine") != machine():
         return None
     try:
         cpu, wall, compiled = (float(manifest[name]) for name in ("cpu_s", "wall_s", "compile_s"))
+        if compiled > COMPILED * wall:
+            return None
         cpu -= compiled * min(1.0, cpu / wall)  # compile_s is wall time, of one thread
         wall -= compiled
     except (KeyError, TypeError, ValueError, ZeroDivisionError):

@@ -44,6 +44,7 @@ class FrameRecord:
     negative: int = 0
     pixels: int = 0
     black: bool = False
+    peak: float = 0.0
     moved: tuple[float, Path] | None = None
 
 
@@ -95,6 +96,7 @@ def _decode_one(source: ViewSource, stage: StageRun) -> tuple[str, FrameRecord]:
         peak = float(image.max(initial=0.0))
     if not np.isfinite(peak) or (peak > SQUARES and not np.isfinite(image).all()):
         raise UserError(source.paths[0], "its radiance is more than single precision holds", OVERFLOW)
+    record.peak = peak
     record.black = not (peak > 0 and bool((decoded.s0 > 0).any()))  # a NaN is no light
     half = _half(peak, stage.parameters.precision)
     if decoded.verbatim is not None and stage.parameters.precision == "auto":
@@ -180,6 +182,7 @@ def _tell(stage: StageRun, records: dict[str, FrameRecord]) -> None:
         stage.warn(f"{first}{more}: every pixel is black: leave it out, or export it again")
     if clipped:
         stage.progress.say(f"saturated samples in {count(clipped, 'view')} ({some(clipped)})")
+    _doubt_levels(stage, records)
     sizes = {(r.facts["width"], r.facts["height"]) for r in records.values()}
     if len(sizes) > 1:
         stage.warn(
@@ -197,6 +200,28 @@ def _tell(stage: StageRun, records: dict[str, FrameRecord]) -> None:
     if worst > WARN_CONDITION:
         close = f"polariser angles close together (condition number {worst:.0f}): s1 and s2 are noisy"
         stage.warn(f"{stage.capture.root}: {close}; check the angles in file names or [stack.angles_deg]")
+
+
+MANY_CLIPPED = 0.05
+"""Share of all samples that are saturated, from which the exposure is in doubt: highlights and a bright sky take 0.002."""
+FAINT = 1e-18  # of the brightest sample, below which its square is no normal number of single precision (1e-38)
+
+
+def _doubt_levels(stage: StageRun, records: dict[str, FrameRecord]) -> None:
+    """Warn of exposures that lose much of the object, and of units in which single precision loses digits."""
+    clipped = sum(r.facts["saturated_fraction"] * r.pixels for r in records.values())
+    share = clipped / max(1, sum(r.pixels for r in records.values()))
+    if share > MANY_CLIPPED:
+        stage.warn(
+            f"{stage.capture.root}: {100 * share:.0f} % of all samples are saturated: nothing is learnt from them; "
+            "check whether the pictures are overexposed, or were scaled and cut off"
+        )
+    peak = max((r.peak for r in records.values()), default=0.0)
+    if 0 < peak < FAINT:
+        stage.warn(
+            f"{stage.capture.root}: the brightest sample is {peak:.0e}: single precision loses digits of so faint radiance; "
+            "check its units, and stokes.scale in capture.toml"
+        )
 
 
 WARN_CONDITION, REFUSE_CONDITION = 30.0, 300.0

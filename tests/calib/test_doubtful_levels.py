@@ -1,0 +1,36 @@
+"""Pictures that are much saturated, or fainter than single precision squares, are warned of; others are not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from stages.calib.decode.write_frames import FrameRecord, _doubt_levels
+from stages.metrics.image_figures import displayable
+
+
+@pytest.mark.parametrize(
+    ("share", "peak", "words"),
+    [
+        (0.002, 3.0, []),
+        (0.049, 1e15, []),
+        (0.07, 1.0, ["7 % of all samples are saturated"]),
+        (0.0, 1e-31, ["is 1e-31"]),
+        (0.0, 0.0, []),
+    ],
+)
+def test_doubtful_levels_are_warned_of(share, peak, words):
+    said: list[str] = []
+    records = {k: FrameRecord({"saturated_fraction": share}, {}, pixels=100, peak=peak) for k in "ab"}
+    stage = SimpleNamespace(capture=SimpleNamespace(root=Path("capture")), warn=said.append)
+    _doubt_levels(stage, records)
+    assert len(said) == len(words) and all(word in line for word, line in zip(words, said))
+
+
+def test_figures_of_display_values_are_of_radiance_that_a_display_shows():
+    radiance = np.random.default_rng(0).uniform(0.01, 3.0, (50, 3))
+    assert displayable(radiance) and displayable(np.append(np.full(95, 30.0), np.full(5, 0.5)))
+    assert not displayable(1e30 * radiance) and not displayable(1e-30 * radiance)
