@@ -17,7 +17,8 @@ COMPILE_S: dict[str, dict[str, float]] = {
         "stages/train/pixel_kernels.py": 1.9,
     },
     "mesh": {
-        "pipeline/geometry/fusion_kernel.py": 2.9, "pipeline/asset/blend_kernel.py": 20.0, "pipeline/asset/atlas_kernel.py": 3.0,
+        "pipeline/geometry/fusion_kernel.py": 2.9, "pipeline/asset/blend_kernel.py": 20.0,
+        "pipeline/asset/atlas_kernel.py": 3.0,
     },
     "relight": {"pipeline/shading/light_tree_kernels.py": 7.0, "pipeline/shading/sharp_kernels.py": 4.0},
 }  # fmt: skip
