@@ -15,7 +15,7 @@ from .pixel_attributes import LEAST_ALPHA
 from .render_view import GBuffer, Rendered, rasterise_view, render_view
 from .scene import Scene
 from .splats.gaussians import ROUGHNESS_FLOOR, Splats
-from .splats.splat_occlusion import carried_hull, trace_pixels, trace_splats
+from .splats.splat_occlusion import BOUNCES, carried_hull, lit, trace_pixels, trace_splats
 from .views.view import View
 
 
@@ -32,6 +32,7 @@ class Renderer:
         self.scene, self.parameters, self.backend = scene, parameters, backend
         self.prefilter = Prefilter(parameters.environment_resolution, parameters.lobe)
         self.substitute = substitute(scene, parameters)  # of traced light
+        self.bounces = BOUNCES
 
     def light(self) -> LightField:
         """The prefiltered environment."""
@@ -87,7 +88,7 @@ class Renderer:
         if self.substitute is not None:
             self.substitute.update(light, splats)
             return
-        traced = trace_splats(scene.occluder, splats, light, scene.linked(), p.seed, p.fresnel)
+        traced = trace_splats(scene.occluder, splats, light, scene.linked(), p.seed, p.fresnel, self.bounces)
         scene.splat_occlusion = traced if traced.blocked >= LEAST_BLOCKED else None
 
     @torch.no_grad()
@@ -110,5 +111,6 @@ class Renderer:
             self.scene.linked().spacing,
             self.parameters.seed,
             self.parameters.fresnel,
+            lit(traced, self.bounces),
         )
         return Occlusion(shadow=g.extra[:, :3], bounced=g.extra[:, 3:], unblocked=unblocked, seen=seen)

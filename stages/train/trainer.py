@@ -11,6 +11,7 @@ import torch
 from pipeline.shading import Occlusion
 
 from .evaluate import validation_psnr
+from .indirect.trust import trusted
 from .objective import loss_terms
 from .parameters import TrainParameters
 from .render_view import Rendered
@@ -19,7 +20,7 @@ from .scene import Scene
 from .schedule import STEP_RULES, Phase, epoch_order, phase_at
 from .splats.albedo_light_scale import ScaleStep
 from .splats.optimiser import SurfaceAdam
-from .upkeep import REFRESH, Upkeep
+from .upkeep import Upkeep
 from .views.angle_fit import AngleFit, fit_angles
 from .views.source_views import Mode
 from .views.training_frame import SceneFrame
@@ -54,17 +55,21 @@ class Trainer:
         self.adam = SurfaceAdam(STEP_RULES)
         self.scale_step = ScaleStep()
         self.renderer = Renderer(scene, parameters, backend)
+        if mode != "stokes":
+            self.renderer.bounces = 1  # a third of the numbers does not bear more: roughness takes up what a second bounce adds
         self.upkeep = Upkeep(scene, self.adam, self.renderer, pyramids[0], mode, parameters)
         self.iteration = 0
 
     def step(self) -> dict[str, float]:
         """One optimisation step; returns the losses (weighted) by name."""
         phase = self.phase(self.iteration)
-        if self.iteration % REFRESH == 0 or self.scene.graph is None:
+        if self.upkeep.due(self.iteration):
             self.upkeep.refresh(self.iteration, self.pyramids[phase.level], phase.level)
         if self.iteration in ANGLE_STEPS and phase.level == 0:
             self.set_unknown_angles(phase.level)
         view, occlusion = self.looked_at(self.view_at(self.iteration, phase), phase)
+        if self.mode == "stokes":
+            view = trusted(view, occlusion, self.iteration / self.parameters.iterations)
         rendered = self.renderer.render_under(view, occlusion)
         terms, surface_parts = loss_terms(self.parameters, self.mode, self.scene, view, rendered)
         torch.stack(list(terms.values())).sum().backward()

@@ -17,10 +17,13 @@ from .views.source_views import Mode
 from .views.view import View
 
 REFRESH = 100  # steps between rebuilding the surface graph: splats move by a fraction of their spacing meanwhile
-CYCLE = 2 * REFRESH  # steps between densifications, and between tracings where no other period is named
+CYCLE = 2 * REFRESH  # steps between densifications
 DENSIFY_UNTIL = 0.6  # share of the run after which the splats stay as they are
 MOST_REMOVED = 0.5  # share of the splats from which on none is removed: the images are then at fault, not the splats
-OCCLUSION_FROM = 200  # steps before the first tracing: the light and the albedo must mean something
+LATE_FROM = 200  # steps before the first tracing without full Stokes, or of what stands in for it: light and albedo must mean
+# something
+TRACE_AT_FIRST = 50  # steps between two tracings at first, later a quarter of the steps done, up to CYCLE: before light is
+# traced a crease's normals turn to where the sky explains it, and a tracing of turned normals keeps them there
 CONCAVITIES_AT = (400, 600, 800)  # steps (of CYCLE) before which hollows are looked for: the light must be about right
 CONCAVITIES_UNTIL = 0.6  # share of the run after which there is no time left to settle
 LEAST_CONCAVITY = 0.004  # share of the surface below which it is not worth looking again: 20 of the search's samples
@@ -73,12 +76,17 @@ class Upkeep:
         """Take over a saved state."""
         self.activity, self.hollowed = Activity(**state["activity"]), list(state["hollowed"])
 
+    def due(self, iteration: int) -> bool:
+        """Whether there is anything to do before a step."""
+        return iteration % REFRESH == 0 or self.scene.graph is None or self.traces_before(iteration)
+
     def refresh(self, iteration: int, views: Sequence[View], level: int) -> None:
-        """What is due before step `iteration`, a multiple of REFRESH; `views` of the pyramid level in use are traced."""
-        self.scene.link_neighbours()
+        """What is due before step `iteration`; `views` of the pyramid level in use are traced."""
+        if iteration % REFRESH == 0 or self.scene.graph is None:
+            self.scene.link_neighbours()
         if iteration % CYCLE == 0 and iteration > 0:
             self.densify(iteration)
-        traces = self.parameters.indirect != "none" and iteration >= OCCLUSION_FROM and iteration % self.period == 0
+        traces = self.traces_before(iteration)
         if traces:
             self.renderer.trace(views, level)
         for _ in range(ROUNDS if self.looks_for_concavities(iteration) else 0):
@@ -86,6 +94,16 @@ class Upkeep:
                 break
             if traces:
                 self.renderer.trace(views, level)
+
+    def traces_before(self, iteration: int) -> bool:
+        """Whether what the object does to its own light is looked at anew before a step."""
+        indirect = self.parameters.indirect
+        if indirect != "traced" or self.mode != "stokes":
+            return indirect != "none" and iteration >= LATE_FROM and iteration % self.period == 0
+        every = TRACE_AT_FIRST
+        while 2 * every <= min(iteration // 4, CYCLE):
+            every *= 2
+        return iteration % every == 0
 
     def densify(self, iteration: int) -> None:
         """Remove what does not show, then add where the images pull hardest, up to the bound, while there is time."""

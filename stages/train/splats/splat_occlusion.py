@@ -1,4 +1,4 @@
-"""Self-occlusion while training: shadow and one bounce per splat, blocked reflections per pixel, by ray casting.
+"""Self-occlusion while training: shadow and bounced light per splat, blocked reflections per pixel, by ray casting.
 
 The occluder is the visual hull's mesh carried along by the splats, so its topology stays and nothing is meshed anew.
 What is traced enters shading as constants (no gradient) and is traced again every few hundred steps.
@@ -6,7 +6,7 @@ What is traced enters shading as constants (no gradient) and is traced again eve
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -14,14 +14,16 @@ from scipy.spatial import cKDTree
 
 from pipeline.geometry.normals import vertex_normals
 from pipeline.geometry.rays import RayMesh
-from pipeline.shading import LightField, shade
+from pipeline.shading import LightField, Occlusion, shade
 
 from ..initialise.hull import HullMesh
 from .gaussians import SplatModel, Splats
 from .surface_graph import SurfaceGraph
 
 DIFFUSE_RAYS = 96  # cosine-weighted rays a splat; their noise is averaged over neighbours as well
+BOUNCES = 2  # reflections of light between places of the object that are followed
 AT_ONCE = 4096  # splats traced at a time: all 3 million rays at once were the run's peak of memory, 0.7 GiB
+SHADED_AT_ONCE = 262144  # blocked rays whose ends are shaded at a time
 LOBE_RAYS = 6  # rays through a pixel's reflection lobe
 SMOOTHING = 2  # diffusion rounds of the traced per-splat values
 NEAREST = 4  # splats that carry a hull vertex
@@ -79,9 +81,15 @@ class SplatOcclusion:
 
 
 def trace_splats(
-    occluder: CarriedHull, splats: Splats, light: LightField, graph: SurfaceGraph, seed: int, fresnel: str
+    occluder: CarriedHull,
+    splats: Splats,
+    light: LightField,
+    graph: SurfaceGraph,
+    seed: int,
+    fresnel: str,
+    bounces: int = BOUNCES,
 ) -> SplatOcclusion:
-    """Shadow and one diffuse-and-specular bounce at every splat, under the current light and material.
+    """Shadow and bounced light, diffuse and specular, at every splat, under the current light and material.
 
     Args:
         occluder: the object as rays see it.
@@ -90,65 +98,82 @@ def trace_splats(
         graph: over which the traced values are smoothed, and whose spacing lifts the rays off the surface.
         seed: of each splat's turn of the ray pattern.
         fresnel: "exact" or "schlick".
+        bounces: reflections that are followed; with 1, what rays meet is lit by the whole sky.
     """
     normals = splats.normals.detach().cpu().numpy().astype(np.float32)
     origins = splats.means.detach().cpu().numpy().astype(np.float32) + LIFT * graph.spacing * normals
     turn = np.random.default_rng(seed).random(len(normals)).astype(np.float32) * 2 * np.pi
-    blocked, parts = 0, []
+    parts = []
     for first in range(0, len(normals), AT_ONCE):
         rows = slice(first, first + AT_ONCE)
-        values, hits = _trace_rows(occluder, splats, light, origins[rows], normals[rows], turn[rows], fresnel)
-        parts.append(values)
-        blocked += hits
-    values = graph.diffuse(torch.cat(parts), SMOOTHING)
-    return SplatOcclusion(values[:, :3], values[:, 3:], blocked / (len(normals) * DIFFUSE_RAYS))
+        parts.append(_trace_rows(occluder, light, origins[rows], normals[rows], turn[rows], first))
+    shares, *hits = zip(*parts)
+    ray, splat, towards = (np.concatenate(a) for a in hits)
+    shadow = graph.diffuse(torch.cat(shares), SMOOTHING)
+    blocked = len(ray) / (len(normals) * DIFFUSE_RAYS)
+    found = SplatOcclusion(shadow, torch.zeros_like(shadow), blocked)
+    receiver = torch.as_tensor(ray, device=shadow.device)
+    for _ in range(bounces if len(ray) else 0):
+        sent = outgoing(splats, splat, towards, light, fresnel, lit(found, bounces))
+        total = torch.zeros_like(shadow).index_add_(0, receiver, sent)
+        found = replace(found, bounced=graph.diffuse(np.pi / DIFFUSE_RAYS * total, SMOOTHING))
+    return found
 
 
 def _trace_rows(
-    occluder: CarriedHull,
-    splats: Splats,
-    light: LightField,
-    origins: np.ndarray,
-    normals: np.ndarray,
-    turn: np.ndarray,
-    fresnel: str,
-) -> tuple[torch.Tensor, int]:
-    """Shadow and bounce [R, 6] at some of the splats, and how many of their rays are blocked."""
-    device = splats.means.device
+    occluder: CarriedHull, light: LightField, origins: np.ndarray, normals: np.ndarray, turn: np.ndarray, first: int
+) -> tuple[torch.Tensor, np.ndarray, np.ndarray, np.ndarray]:
+    """Shadow [R, 3] at some of the splats, and of their rays that are blocked: the splat they start from (numbered from
+    `first`), the one they hit, and their direction [M, 3]."""
+    device = light.packed.device
     directions = local_to_world(cosine_directions(DIFFUSE_RAYS), normals, turn)  # [R, K, 3]
-    count = directions.shape[1]
     flat = directions.reshape(-1, 3)
-    hit, splat = occluder.cast(np.repeat(origins, count, 0), flat)
+    hit, splat = occluder.cast(np.repeat(origins, DIFFUSE_RAYS, 0), flat)
     roughness = torch.full((len(flat),), SMOOTH_LEVEL, device=device)
     radiance = light.mirrored(torch.as_tensor(flat, device=device), roughness)
     open_ = torch.as_tensor(~hit, device=device)[:, None]
-    total = radiance.reshape(-1, count, 3).sum(1)
-    arriving = (radiance * open_).reshape(-1, count, 3).sum(1)
-    bounce = torch.zeros_like(radiance)
-    rows = torch.as_tensor(np.flatnonzero(hit), device=device)
-    bounce[rows] = outgoing(splats, splat[hit], flat[hit], light, fresnel)
-    values = torch.cat([arriving / total.clamp_min(1e-12), np.pi / count * bounce.reshape(-1, count, 3).sum(1)], -1)
-    return values, int(hit.sum())
+    total = radiance.reshape(-1, DIFFUSE_RAYS, 3).sum(1)
+    arriving = (radiance * open_).reshape(-1, DIFFUSE_RAYS, 3).sum(1)
+    rows = np.flatnonzero(hit)
+    return arriving / total.clamp_min(1e-12), first + rows // DIFFUSE_RAYS, splat[rows], flat[rows]
 
 
-def outgoing(splats: Splats, rows: np.ndarray, towards: np.ndarray, light: LightField, fresnel: str) -> torch.Tensor:
-    """Radiance [M, 3] that splats `rows` send back along the incoming directions `towards` [M, 3] (unoccluded there)."""
+def outgoing(
+    splats: Splats, rows: np.ndarray, towards: np.ndarray, light: LightField, fresnel: str, received: SplatOcclusion
+) -> torch.Tensor:
+    """Radiance [M, 3] that splats `rows` send back along the incoming directions `towards` [M, 3].
+
+    received: shadow and bounced light there; a reflection is blocked and replaced as the diffuse light is. What lies beside a
+    crease is in its shadow: lit by the whole sky it would send up to twice as much.
+    """
     device = splats.means.device
-    r = torch.as_tensor(rows, device=device)
-    view = torch.as_tensor(-towards, device=device)
-    frame = torch.zeros_like(view)  # only s0 is wanted
-    out = shade(
-        splats.normals.detach()[r],
-        view,
-        splats.albedo.detach()[r],
-        splats.roughness.detach()[r],
-        splats.ior.detach()[r],
-        frame,
-        frame,
-        light,
-        fresnel=fresnel,
-    )
-    return out.stokes[:, 0]
+    parts = []
+    for first in range(0, len(rows), SHADED_AT_ONCE):
+        r = torch.as_tensor(rows[first : first + SHADED_AT_ONCE], device=device)
+        view = torch.as_tensor(-towards[first : first + SHADED_AT_ONCE], device=device)
+        frame = torch.zeros_like(view)  # only s0 is wanted
+        shadow, bounced = received.shadow[r], received.bounced[r]
+        out = shade(
+            splats.normals.detach()[r],
+            view,
+            splats.albedo.detach()[r],
+            splats.roughness.detach()[r],
+            splats.ior.detach()[r],
+            frame,
+            frame,
+            light,
+            occlusion=Occlusion(shadow, bounced, shadow.mean(-1), bounced / np.pi),
+            fresnel=fresnel,
+        )
+        parts.append(out.stokes[:, 0])
+    return torch.cat(parts)
+
+
+def lit(found: SplatOcclusion, bounces: int) -> SplatOcclusion:
+    """What the places that rays meet receive: what was found there, or, where one bounce alone is followed, the whole sky."""
+    if bounces > 1:
+        return found
+    return replace(found, shadow=torch.ones_like(found.shadow), bounced=torch.zeros_like(found.bounced))
 
 
 def trace_pixels(
@@ -162,6 +187,7 @@ def trace_pixels(
     spacing: float,
     seed: int,
     fresnel: str,
+    received: SplatOcclusion,
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """The reflection lobe of P pixels, sampled by LOBE_RAYS rays each.
 
@@ -170,6 +196,7 @@ def trace_pixels(
         points, normals, view_direction: on the surface, unit, unit and towards the camera; training frame. [P, 3]
         roughness: perceptual. [P]
         spacing: mean distance between neighbouring splats.
+        received: what the splats receive themselves, as `trace_splats` found it.
 
     Returns:
         Share of the lobe that leaves the object [P], and the object's mean radiance over the lobe, 0 where a ray leaves [P, 3].
@@ -192,7 +219,9 @@ def trace_pixels(
     hit &= ~below.reshape(-1)
     seen = torch.zeros(len(flat), 3, device=device)
     if hit.any():
-        seen[torch.as_tensor(np.flatnonzero(hit), device=device)] = outgoing(splats, splat[hit], flat[hit], light, fresnel)
+        seen[torch.as_tensor(np.flatnonzero(hit), device=device)] = outgoing(
+            splats, splat[hit], flat[hit], light, fresnel, received
+        )
     unblocked = 1 - torch.as_tensor(hit.reshape(count, LOBE_RAYS).astype(np.float32).mean(1), device=device)
     return unblocked, seen.reshape(count, LOBE_RAYS, 3).mean(1)
 

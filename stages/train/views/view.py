@@ -17,7 +17,8 @@ from .training_frame import SceneFrame
 
 COVERED, EMPTY = 0.99, 0.01  # mask values from which a pixel is wholly the object's, and below which nothing of it: 8-bit
 # masks round by 0.002, and resampled ones ring by a little more
-EDGE_WEIGHT = 0.25  # of a mask's edge pixels in L_mask on a bright background, where the mask alone tells the outline
+EDGE_WEIGHT = 0.25  # of a mask's edge pixels in L_mask: of all on a bright background, where the mask alone tells the outline,
+# and of the covered ones on black, where a dark rim's radiance does not tell
 
 
 @dataclass(frozen=True)
@@ -87,8 +88,8 @@ def prepare(source: SourceView, frame: SceneFrame, black: bool, device: str = "c
         device: torch device of the tensors.
         openings: whether black pixels are openings (`has_openings`) and not dark surfaces.
 
-    On a black background the ring about the mask counts too (its coverage is left to the model); otherwise the mask's
-    own edge pixels, mixed with the background, count for nothing.
+    On a black background the ring about the mask counts too (its coverage is left to the model, and that of the mask's own
+    edge pixels mostly); otherwise the mask's edge pixels, mixed with the background, count for nothing.
     """
     camera = frame.camera(source.camera)
     full = source.mask > COVERED
@@ -96,7 +97,8 @@ def prepare(source: SourceView, frame: SceneFrame, black: bool, device: str = "c
     wide = grown(touched)
     core = full & ndimage.binary_erosion(full, border_value=1)
     counted = (wide if black else core) & source.valid
-    alpha_weight = np.where(core | ~wide, 1.0, 0.0) if black else np.where(core | ~touched, 1.0, EDGE_WEIGHT)
+    at_edge = np.where(full, EDGE_WEIGHT, 0.0 if black else EDGE_WEIGHT)
+    alpha_weight = np.where(core | ~(wide if black else touched), 1.0, at_edge)
     opening = opening_pixels(source, frame.exposure) if openings else np.zeros(full.shape, bool)
     near_opening = grown(opening)
     alpha_weight = np.where(opening, 1.0, np.where(near_opening, 0.0, alpha_weight))
