@@ -66,7 +66,7 @@ test: $(INSTALLED)  ## everything; `test-fast` first tells soon what is wrong
 	@$(MAKE) --no-print-directory --jobs=2 --output-sync=target lint $(READY)
 	$(TESTS)
 
-test-fast: $(READY)  ## under a minute
+test-fast: $(READY)  ## the fast ones alone: about a minute, and another the first time, for compiling
 	$(TESTS) -m "not slow"
 
 # Every stop is a run of its own: some two thousand of them, a minute a hundred on quiet cores.

@@ -26,6 +26,8 @@ import torch
 from torch import Tensor
 
 from benchmarks.case_store import made_with
+from pipeline.engine.device import refuse_missing_cuda
+from pipeline.errors import UserError
 from stages.train.rasterize import Raster, rasterize
 from stages.train.render_view import LAYER, SCREEN_FILTER
 
@@ -145,6 +147,8 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="write the figures here")
     parser.add_argument("--captures", help="not used: the scene is made here")
     options = parser.parse_args()
+    if options.cuda:
+        refuse_missing_cuda()
 
     splats, camera = sphere(20_000, 12), view(192, 192, 415.0)
     figures: dict = {"machine": f"{platform.machine()}, {len(os.sched_getaffinity(0))} cores", "torch": torch.__version__}
@@ -198,8 +202,12 @@ def main() -> None:
         figures["relative_difference"] = differences(cpu.results(), slow.results())
         print("relative difference: " + ", ".join(f"{k} {v:.0e}" for k, v in figures["relative_difference"].items()))
     if options.json:
+        options.json.parent.mkdir(parents=True, exist_ok=True)
         options.json.write_text(json.dumps(figures, indent=2) + "\n")
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except UserError as fault:
+        raise SystemExit(f"bench_rasterize: {fault}") from None

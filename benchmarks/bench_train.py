@@ -26,6 +26,9 @@ os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 import numpy as np
 
+from pipeline.engine.device import refuse_missing_cuda
+from pipeline.errors import UserError
+
 ANGLES_DEG = {"lp0": 23.0, "lp1": 110.0}
 MODES = ("stokes", "polarisers", "none")
 PIECES_STEPS = 600  # steps of the runs that differ by one piece, and of the one with all
@@ -239,6 +242,8 @@ def main() -> None:
     arguments = parser.parse_args()
     if arguments.captures is None:
         parser.error("say where the captures are: --captures DIR or POLARFIELD_CAPTURES")
+    if arguments.device == "cuda":
+        refuse_missing_cuda()
     arguments.out.mkdir(parents=True, exist_ok=True)
     fixed = {"iterations": arguments.iterations} if arguments.iterations else {}
     results: dict[str, Any] = {}
@@ -286,4 +291,7 @@ def made_today(run: dict[str, Any], changes: dict[str, Any]) -> bool:
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except UserError as fault:
+        raise SystemExit(f"bench_train: {fault}") from None

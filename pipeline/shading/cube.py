@@ -110,7 +110,7 @@ def extend(texels: torch.Tensor) -> torch.Tensor:
 
 def lookup(table: torch.Tensor, directions: torch.Tensor, resolution: int) -> torch.Tensor:
     """Bilinear lookup of an extended table [6 R^2 + 8, C] in directions [P, 3] (any length) -> [P, C]."""
-    return lookup_at(table, directions, resolution, on_device("rows", resolution, table.device), 0)
+    return lookup_at(table, directions, resolution, _rows_on(resolution, table.device), 0)
 
 
 def lookup_at(
@@ -148,12 +148,16 @@ def lookup_at(
     return top * (1 - t) + bottom * t
 
 
-@lru_cache(maxsize=64)
-def on_device(what: str, resolution: int, device: torch.device) -> torch.Tensor:
-    """A constant table, copied to a device once: `rows` (`padded_indices`, flat), or `axes` (`AXES`, float64)."""
-    if what == "axes":
-        return torch.as_tensor(AXES, device=device)
+@lru_cache(maxsize=32)
+def _rows_on(resolution: int, device: torch.device) -> torch.Tensor:
+    """`padded_indices`, flat, copied to a device once."""
     return torch.as_tensor(padded_indices(resolution), device=device).long().reshape(-1)
+
+
+@lru_cache(maxsize=4)
+def _axes_on(device: torch.device) -> torch.Tensor:
+    """`AXES`, float64, copied to a device once."""
+    return torch.as_tensor(AXES, device=device)
 
 
 def texel_index(directions: torch.Tensor, resolution: int) -> torch.Tensor:
@@ -164,7 +168,7 @@ def texel_index(directions: torch.Tensor, resolution: int) -> torch.Tensor:
 
 
 def _torch_face_coordinates(d: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    axes = on_device("axes", 0, d.device).to(d.dtype)
+    axes = _axes_on(d.device).to(d.dtype)
     magnitude = d.detach().abs()
     axis = magnitude.argmax(-1)
     major = d.gather(-1, axis[:, None])[:, 0]

@@ -112,6 +112,15 @@ def test_when_it_pays_is_told_by_the_capture():
     assert "3 cameras" in decision(capture(2, True), OlatParameters(second_fit="on")).reason
 
 
+def small_run(folder: Path) -> StageRun:
+    """A run of the stage in folders of its own, that says nothing."""
+    output, scratch = folder / "out", folder / "scratch"
+    output.mkdir()
+    scratch.mkdir()
+    capture = SimpleNamespace(root=folder)
+    return StageRun(capture, OlatParameters(), {}, output, scratch, progress=Progress(quiet=True))
+
+
 def test_a_killed_run_goes_on_after_what_was_whole(tmp_path, monkeypatch):
     """First fits and surface are made once each; a half-written folder of first fits is begun anew."""
     calls: list[str] = []
@@ -130,16 +139,13 @@ def test_a_killed_run_goes_on_after_what_was_whole(tmp_path, monkeypatch):
     monkeypatch.setattr(second_fit, "reading", lambda stage: nullcontext(None))
     monkeypatch.setattr(second_fit, "fit_all", fits)
     monkeypatch.setattr(second_fit, "_write_surface", surface_of)
-    output, scratch = tmp_path / "out", tmp_path / "scratch"
-    output.mkdir()
-    scratch.mkdir()
-    run = StageRun(SimpleNamespace(root=tmp_path), OlatParameters(), {}, output, scratch)
+    run = small_run(tmp_path)
     for _ in range(2):
         with pytest.raises(KeyboardInterrupt):
             second_fit.fit_twice(run)
     second_fit.fit_twice(run)
     assert calls == ["first", "first", "surface", "second", "second"]
-    assert (output / "maps.json").read_text() == "second" and run.facts["second fit"]["run"]
+    assert (run.output / "maps.json").read_text() == "second" and run.facts["second fit"]["run"]
 
 
 def test_first_fits_that_show_no_surface_stay(tmp_path, monkeypatch):
@@ -153,10 +159,7 @@ def test_first_fits_that_show_no_surface_stay(tmp_path, monkeypatch):
     monkeypatch.setattr(second_fit, "reading", lambda stage: nullcontext(None))
     monkeypatch.setattr(second_fit, "fit_all", fits)
     monkeypatch.setattr(second_fit, "_write_surface", no_surface)
-    output, scratch = tmp_path / "out", tmp_path / "scratch"
-    output.mkdir()
-    scratch.mkdir()
-    run = StageRun(SimpleNamespace(root=tmp_path), OlatParameters(), {}, output, scratch, progress=Progress(quiet=True))
+    run = small_run(tmp_path)
     second_fit.fit_twice(run)
-    assert (output / "maps.json").read_text() == "first" and run.warnings == ["as it was told"]
+    assert (run.output / "maps.json").read_text() == "first" and run.warnings == ["as it was told"]
     assert not run.facts["second fit"]["run"] and "share no surface" in run.facts["second fit"]["reason"]

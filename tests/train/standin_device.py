@@ -1,7 +1,8 @@
 """A device of its own, held in the CPU's memory, with a GPU's manners: its tensors refuse to mix with the CPU's, and have no
 numpy(). What runs on it has no tensor left behind on the wrong side; what it counts, a GPU would be waited for.
 
-Import it before anything is made on the device, in a process of its own: torch knows one such device.
+Import it before anything is made on the device, in a process of its own: torch knows one such device. Nothing that was made on
+it is given back before the process ends, so it serves for a few steps of a small scene.
 """
 
 from __future__ import annotations

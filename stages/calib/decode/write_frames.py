@@ -220,7 +220,7 @@ def _doubt_levels(stage: StageRun, records: dict[str, FrameRecord]) -> None:
     if 0 < peak < FAINT:
         stage.warn(
             f"{stage.capture.root}: the brightest sample is {peak:.0e}: single precision loses digits of so faint radiance; "
-            "check its units, and stokes.scale in capture.toml"
+            "check its units, and [stokes] scale in capture.toml"
         )
 
 
