@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 from collections.abc import Container, Iterator, Mapping, Sequence
@@ -70,6 +71,7 @@ def run(folder: Path, name: str) -> Ended:
     with RENDERING:  # one Mitsuba a program, and what is spoiled is a copy of the base
         capture = make(folder / "captures", name)
     dataset = folder / "datasets" / capture.name
+    shutil.rmtree(dataset, ignore_errors=True)  # what an earlier commit made is not judged
     command = [sys.executable, "-m", "stages", "all", str(capture), "--dataset", str(dataset), "--params", PARAMETERS]
     environment = {**os.environ, **ONE_THREAD, "PYTHONPATH": str(ROOT)}
     status: int | None = None
