@@ -123,6 +123,21 @@ def test_time_is_kept_for_combinations_where_the_budget_ends_before_the_list(tmp
     assert table["lines"][FAST] is not None and 1.6 * sum(sum(run["seconds"].values()) for run in table["runs"]) <= 10 * own
 
 
+def test_what_a_busier_machine_adds_to_a_trial_is_not_spent(tmp_path, monkeypatch):
+    def make(self, changed):
+        slow = 3.0 if changed else 1.0
+        taken = {"decode": (2.0, 1.0, "a"), "train": (slow * 40.0, 40.0, f"b{changed}")}
+        manifests = {s: {"wall_s": w, "cpu_s": c, "compile_s": 0.0, "key": k} for s, (w, c, k) in taken.items()}
+        self.spent += slow * 40.0 + 3.0
+        return Result("views", {"train": {"normal_mae_deg": 2.0}}, manifests)
+
+    monkeypatch.setattr(Tradeoff, "make", make)
+    work = Tradeoff(tmp_path, tmp_path, "", "", lambda line: None)
+    first = work.make({})
+    work.base, work.spent, work.made = measured(first, {}, errors(first.metrics), {}), 0.0, {"a", "b{}"}
+    assert work.try_out({"train.mirror": "split"}).total == pytest.approx(42) and work.spent == pytest.approx(41)
+
+
 def test_a_multi_view_capture_gets_both_lines_within_ten_times_its_own_time(tmp_path, monkeypatch, capsys):
     tried = []
 

@@ -19,7 +19,7 @@ from pipeline.errors import UserError
 from stages.metrics.comparison.results import Result, read_results
 from stages.metrics.tradeoff.choose import best_within, finest, pareto
 from stages.metrics.tradeoff.knobs import Trial, trials
-from stages.metrics.tradeoff.measure import Measured, errors, measured
+from stages.metrics.tradeoff.measure import Measured, errors, measured, taken
 from stages.metrics.tradeoff.page import write_page
 
 BUDGET = 9.5  # of the run's own time, what all trials together may take: "under ten times" with room for the last estimate
@@ -37,6 +37,7 @@ class Tradeoff:
         self.capture, self.dataset, self.params, self.envs, self.say = capture, dataset, params, envs, say
         self.base: Measured | None = None
         self.spent = 0.0
+        self.made: set[str] = set()
         self.runs: list[Measured] = []
 
     def make(self, changed: Mapping[str, Any]) -> Result:
@@ -53,12 +54,24 @@ class Tradeoff:
         return read_results([self.dataset])[0]
 
     def try_out(self, changed: Mapping[str, Any]) -> Measured:
-        """Run and measure, and keep the figure."""
+        """Run and measure, and keep the figure. What a busier machine adds to the trial's time is not spent: the user's own run
+        would take as much longer."""
         assert self.base is not None
-        run = measured(self.make(changed), changed, self.base.figures, self.base.pace)
+        before = self.spent
+        result = self.make(changed)
+        run = measured(result, changed, self.base.figures, self.base.pace)
+        self.spent = before + (self.spent - before) / self._slowed(result, run)
         self.runs.append(run)
         self.say(f"{_line(changed)}: {clock(run.total)} ({run.total / self.base.total:.2f} of yours), error x {run.error:.3f}")
         return run
+
+    def _slowed(self, result: Result, run: Measured) -> float:
+        """How many times as long the stages took that this trial was the first to make, as they would have beside the user's
+        own run; 1 at least."""
+        fresh = [s for s, m in result.manifests.items() if m.get("key", "") not in self.made]
+        self.made |= {str(m["key"]) for m in result.manifests.values() if "key" in m}
+        wall = sum(taken(result.manifests[s])[0] for s in fresh)
+        return max(1.0, wall / max(sum(run.seconds[s] for s in fresh), 1e-9))
 
     def affords(self, seconds: float) -> bool:
         """Whether a run that takes so long, as long as the others have on this machine meanwhile, is within the budget."""
@@ -87,6 +100,7 @@ def run_tradeoff(capture: Path, dataset: Path, params: str, envs: str, say: Call
     _seed(dataset, work.dataset)
     first = work.make({})
     work.base = measured(first, {}, errors(first.metrics), {})
+    work.made = {str(m["key"]) for m in first.manifests.values() if "key" in m}
     work.spent = 0.0
     say(f"your run takes {clock(work.base.total)}; trials may take {clock(BUDGET * work.base.total)} together")
     kept = ATTEMPTS * HALF * work.base.total
