@@ -155,8 +155,8 @@ def mesh(capture: Capture, parameters: Any) -> Costs:
     around = 4 * pixels / views * share  # megapixels of the object's whole surface
     fine = min(1.0, 1 / parameters.voxel_px**2)
     return {
-        ITSELF: Cost(1.8 + 2.0 * pixels + 200 * around * fine, 390.0 + 55 * pixels),
-        "textures": Cost(1.5 + 130 * around / parameters.texel_px**2, 200 * around),
+        ITSELF: Cost(1.8 + 2.0 * pixels + 120 * around * fine, 390.0 + 55 * pixels),
+        "textures": Cost(1.5 + 80 * around / parameters.texel_px**2, 200 * around),
         "poisson": Cost(2.5 * 4 ** (parameters.poisson_depth - 8) + 40 * around, 150.0),
     } | _compiling("mesh")
 

@@ -49,10 +49,10 @@ class CapturedLight:
         height, width = surface.alpha.shape
         at = np.flatnonzero((surface.alpha > 0.5).ravel() & (np.abs(surface.normal).sum(-1) > 0.5).ravel())
         rays = camera.rays().reshape(-1, 3)[at]
-        across, up = (axis.reshape(-1, 3)[at] for axis in camera.stokes_frame())
+        across, up = camera.stokes_axes(rays)
 
         def turned(v: NDArray) -> torch.Tensor:
-            return torch.as_tensor(np.ascontiguousarray(v @ self._turn.T, np.float32))
+            return torch.as_tensor(np.ascontiguousarray(v, np.float32) @ self._turn.T.astype(np.float32))
 
         material = torch.as_tensor(np.ascontiguousarray(surface.material.reshape(-1, 5)[at]))
         with torch.no_grad():

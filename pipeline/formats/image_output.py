@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import shutil
+import tempfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -55,17 +57,38 @@ def write_pixels(path: Path, pixels: np.ndarray, kind: str, names: list[str], at
             raise write_fault(path, reason_of(out))
         return
     # OpenImageIO takes a PNG that could not be written to its end for written: made in memory, written by what tells.
-    handle = os.memfd_create(path.name)
+    in_memory = _in_memory if hasattr(os, "memfd_create") else _in_temporary_folder
     try:
-        if not _encode(out, f"/proc/self/fd/{handle}", spec, pixels, kind):
+        content = in_memory(lambda name: _encode(out, name, spec, pixels, kind), path.name)
+        if content is None:
             raise write_fault(path, reason_of(out))
-        os.lseek(handle, 0, os.SEEK_SET)
-        with open(handle, "rb", closefd=False) as stream:
-            path.write_bytes(stream.read())
+        path.write_bytes(content)
     except OSError as error:
         raise write_fault(path, error.strerror or str(error)) from error
+
+
+def _in_memory(encode: Callable[[str], bool], name: str) -> bytes | None:
+    """What `encode` writes to the file it is told; None where it fails. The file is memory alone (Linux)."""
+    handle = os.memfd_create(name)
+    try:
+        if not encode(f"/proc/self/fd/{handle}"):
+            return None
+        os.lseek(handle, 0, os.SEEK_SET)
+        with open(handle, "rb", closefd=False) as stream:
+            return stream.read()
     finally:
         os.close(handle)
+
+
+def _in_temporary_folder(encode: Callable[[str], bool], name: str) -> bytes | None:
+    """As `_in_memory`, where there are no such files: on disk, and read again, as a full disk is told by nothing else."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / name
+        again = oiio_library().ImageInput.open(str(file)) if encode(str(file)) else None
+        if again is None or again.read_image() is None:
+            return None
+        again.close()
+        return file.read_bytes()
 
 
 def _encode(out, name: str, spec, pixels: np.ndarray, kind: str) -> bool:

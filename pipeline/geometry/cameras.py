@@ -90,7 +90,10 @@ class Camera:
 
     def stokes_frame(self) -> tuple[np.ndarray, np.ndarray]:
         """Each pixel's Stokes axes (x right, y up, both across its own ray), world, float64 [H, W, 3] each."""
-        rays = self.rays()
+        return self.stokes_axes(self.rays())
+
+    def stokes_axes(self, rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The Stokes axes of unit rays [..., 3] (world), float64 [..., 3] each."""
         x = np.cross(rays, self.up)
         x /= np.linalg.norm(x, axis=-1, keepdims=True)
         return x, np.cross(x, rays)

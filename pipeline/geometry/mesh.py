@@ -53,9 +53,10 @@ def keep_faces(mesh: Mesh, keep: NDArray[np.bool_]) -> Mesh:
         A mesh of those alone, with their vertices' attributes.
     """
     faces = mesh.faces[keep]
-    used = np.unique(faces)
-    place = np.full(len(mesh.vertices), -1)
-    place[used] = np.arange(len(used))
+    needed = np.zeros(len(mesh.vertices), bool)
+    needed[faces] = True
+    used = np.flatnonzero(needed)
+    place = np.cumsum(needed) - 1
     return Mesh(mesh.vertices[used], place[faces], {k: v[used] for k, v in mesh.attributes.items()})
 
 

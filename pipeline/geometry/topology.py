@@ -73,8 +73,9 @@ def topology(vertices: NDArray, faces: NDArray) -> Topology:
     Returns:
         Pieces, genus (None where the mesh is open or an edge has more than two faces), such edges, triangles inside out.
     """
-    used, faces = np.unique(faces, return_inverse=True)
-    faces = faces.reshape(-1, 3)
+    needed = np.zeros(len(vertices), bool)
+    needed[faces] = True
+    used, faces = np.flatnonzero(needed), (np.cumsum(needed) - 1)[faces]
     first, _, count = _counted_edges(faces)
     found, _ = pieces(faces, len(used))
     open_edges, crowded = int((count == 1).sum()), int((count > 2).sum())

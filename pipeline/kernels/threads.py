@@ -6,13 +6,14 @@ compiles several times longer.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from typing import Any
 
 import numpy as np
+
+from pipeline.cores import usable_cores
 
 
 @cache
@@ -22,7 +23,7 @@ def _helpers(count: int) -> ThreadPoolExecutor:
 
 def thread_count() -> int:
     """Cores this process may use."""
-    return len(os.sched_getaffinity(0))
+    return usable_cores()
 
 
 def run_on_all_cores(kernel: Callable[..., None], *arguments: Any) -> None:

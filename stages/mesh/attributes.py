@@ -26,20 +26,23 @@ def bake(mesh: Mesh, views: Iterable[DepthView], tolerance: float) -> tuple[Mesh
     geometric = mesh.normals()
     total = np.zeros((len(mesh.vertices), 8))
     weight = np.zeros(len(mesh.vertices))
+    offset = (geometric * mesh.vertices).sum(1)
     for view in views:
-        pixels, z = view.camera.project(mesh.vertices)
+        front = np.flatnonzero(geometric @ view.camera.centre > offset)
+        pixels, z = view.camera.project(mesh.vertices[front])
         height, width = view.depth.shape
         with np.errstate(invalid="ignore"):
             column, row = np.floor(pixels[:, 0]), np.floor(pixels[:, 1])
             inside = (z > 0) & (column >= 0) & (row >= 0) & (column < width) & (row < height)
-        at = np.nonzero(inside)[0]
-        r, c = row[at].astype(np.int64), column[at].astype(np.int64)
+        at, z = front[inside], z[inside]
+        r, c = row[inside].astype(np.int64), column[inside].astype(np.int64)
         depth = view.depth[r, c]
         towards = view.camera.centre - mesh.vertices[at]
-        towards /= np.linalg.norm(towards, axis=1, keepdims=True)
+        towards /= np.sqrt((towards**2).sum(1, keepdims=True))
         cosine = np.maximum((towards * geometric[at]).sum(1), 0)
         slack = tolerance / np.maximum(cosine, 0.2)  # a pixel spans more depth at grazing angles; 0.2 = 78 degrees
-        w = np.where((depth > 0) & (np.abs(depth - z[at]) < slack), cosine**4, 0.0)
+        agrees = (depth > 0) & (np.abs(depth - z) < slack)
+        at, r, c, w = at[agrees], r[agrees], c[agrees], cosine[agrees] ** 4
         total[at] += w[:, None] * np.concatenate([view.normal[r, c], view.material[r, c]], -1)
         weight[at] += w
     seen = weight > 1e-4  # cosine 0.1: beyond 84 degrees a pixel says nothing

@@ -24,29 +24,54 @@ def subdivided(mesh: Mesh) -> Mesh:
 
 
 def unfolded(mesh: Mesh) -> Mesh:
-    """No triangle inside out: the corners of such specks move to the mean of their neighbours, until there are none."""
-    vertices = mesh.vertices
+    """No triangle inside out: the corners of such specks move to the mean of their neighbours, until there are none.
+
+    After each round only the triangles about what moved are looked at again.
+    """
+    faces, folded = mesh.faces, np.flatnonzero(inside_out(mesh.vertices, mesh.faces))
+    if not len(folded):
+        return mesh
+    about, vertices = _FacesAbout(faces, len(mesh.vertices)), mesh.vertices.copy()
     for _ in range(UNFOLDINGS):
-        folded = inside_out(vertices, mesh.faces)
-        if not folded.any():
+        corners = np.unique(faces[folded])
+        touched = about(corners)
+        vertices[corners] = _means_of_neighbours(vertices, faces[touched], corners)
+        doubtful = about(np.unique(faces[touched]))  # a normal of theirs has changed
+        patch = about(np.unique(faces[doubtful]))
+        used, local = np.unique(faces[patch], return_inverse=True)
+        inward = patch[inside_out(vertices[used], local.reshape(-1, 3))]
+        folded = np.union1d(np.setdiff1d(folded, doubtful), np.intersect1d(inward, doubtful))
+        if not len(folded):
             break
-        corners = np.zeros(len(vertices), bool)
-        corners[mesh.faces[folded]] = True
-        i, j = edges_of(mesh.faces[corners[mesh.faces].any(1)])
-        ends, others = np.concatenate([i, j]), np.concatenate([j, i])
-        total = np.stack([np.bincount(ends, vertices[others, k], len(vertices)) for k in range(3)], -1)
-        count = np.bincount(ends, minlength=len(vertices))[:, None]
-        vertices = np.where(corners[:, None], total / np.maximum(count, 1), vertices)
-    return Mesh(vertices, mesh.faces, mesh.attributes)
+    return Mesh(vertices, faces, mesh.attributes)
+
+
+class _FacesAbout:
+    """Which triangles have a corner among some vertices."""
+
+    def __init__(self, faces: NDArray[np.int64], vertices: int) -> None:
+        self._face = np.argsort(faces.ravel(), kind="stable") // 3
+        self._first = np.concatenate([[0], np.cumsum(np.bincount(faces.ravel(), minlength=vertices))])
+
+    def __call__(self, vertices: NDArray[np.int64]) -> NDArray[np.int64]:
+        """Their numbers [N], sorted."""
+        return np.unique(np.concatenate([self._face[self._first[v] : self._first[v + 1]] for v in vertices]))
+
+
+def _means_of_neighbours(vertices: NDArray, faces: NDArray[np.int64], corners: NDArray[np.int64]) -> NDArray[np.float64]:
+    """The mean [C, 3] of the vertices that share an edge of some triangles with each corner [C], sorted."""
+    i, j = edges_of(faces)
+    ends, others = np.concatenate([i, j]), np.concatenate([j, i])
+    place = np.minimum(np.searchsorted(corners, ends), len(corners) - 1)
+    ours = corners[place] == ends
+    place, others = place[ours], others[ours]
+    total = np.stack([np.bincount(place, vertices[others, k], len(corners)) for k in range(3)], -1)
+    return total / np.maximum(np.bincount(place, minlength=len(corners)), 1)[:, None]
 
 
 def boundary_loops(mesh: Mesh) -> list[NDArray[np.int64]]:
     """Closed chains of boundary edges, as vertex indices in the order of the hole's rim."""
-    f = mesh.faces
-    edges = np.concatenate([f[:, [0, 1]], f[:, [1, 2]], f[:, [2, 0]]])
-    key = edges[:, 0] * len(mesh.vertices) + edges[:, 1]
-    twin = edges[:, 1] * len(mesh.vertices) + edges[:, 0]
-    open_edges = edges[~np.isin(key, twin)]
+    open_edges = _edges_without_twin(mesh.faces)
     following: dict[int, list[int]] = {}
     for a, b in open_edges:
         following.setdefault(int(b), []).append(int(a))  # against the triangles' sense: the filling turns outward
@@ -65,6 +90,19 @@ def boundary_loops(mesh: Mesh) -> list[NDArray[np.int64]]:
         if at == start and len(loop) > 2:
             loops.append(np.array(loop))
     return loops
+
+
+def _edges_without_twin(faces: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The triangles' edges [E, 2], in their sense, that no triangle has in the other sense."""
+    start, end = faces.T.ravel(), np.roll(faces, -1, 1).T.ravel()
+    along = start < end
+    key = np.where(along, start, end) * (int(faces.max(initial=0)) + 1) + np.where(along, end, start)
+    order = np.argsort(key)
+    run = np.empty(len(key), np.int64)
+    run[order] = np.cumsum(np.diff(key[order], prepend=-1) > 0) - 1
+    there, back = (np.bincount(run[way], minlength=len(key)) for way in (along, ~along))
+    alone = np.where(along, back[run], there[run]) == 0
+    return np.stack([start[alone], end[alone]], -1)
 
 
 def fill_holes(mesh: Mesh, rings: int = 12) -> tuple[Mesh, int]:

@@ -78,12 +78,13 @@ class Volume:
         indices = self._grid.hashmap().active_buf_indices()
         coordinates, flat = self._grid.voxel_coordinates_and_flattened_indices(indices)
         self._points = np.ascontiguousarray(coordinates.numpy(), np.float32)
-        self._flat = flat.numpy()
+        self._flat, self._weighed = flat, False  # whether the grid holds the weights
         self._distance = np.zeros(len(self._points), np.float32)  # in truncations
         self._weight = np.zeros(len(self._points), np.float32)
 
     def integrate(self, view: DepthView, grazing: float) -> None:
         """Blend one view's depth in; rays that miss the object carve."""
+        self._weighed = False
         c = view.camera
         pinhole = (c.fx, c.fy, c.cx, c.cy)
         pose = (np.ascontiguousarray(c.world_to_camera), np.ascontiguousarray(c.centre))
@@ -95,9 +96,12 @@ class Volume:
         """The surface at a distance `outward` from the zero crossing, as an Open3D tensor mesh (possibly empty)."""
         import open3d as o3d
 
-        for name, values in (("tsdf", self._distance - np.float32(outward / self.truncation)), ("weight", self._weight)):
+        fields = {"tsdf": self._distance - np.float32(outward / self.truncation)}
+        if not self._weighed:
+            fields["weight"], self._weighed = self._weight, True
+        for name, values in fields.items():
             field = self._grid.attribute(name).reshape((-1, 1))
-            field[o3d.core.Tensor(self._flat)] = o3d.core.Tensor(values[:, None])
+            field[self._flat] = o3d.core.Tensor(values[:, None])
         return self._grid.extract_triangle_mesh(weight_threshold=LEAST_WEIGHT)
 
 

@@ -25,6 +25,7 @@ from .refine import following_normals
 from .textures import write_textured
 
 ROUNDS = 2  # of matching outlines: the second corrects the first by a few percent of it
+OUTLINE_ERROR = 0.02  # px: areas tell an outline's place no better (outline.ENOUGH_RAYS), so smaller gaps move nothing
 MOST_OUTWARD = 0.5  # of the truncation, where the field is still a distance
 
 
@@ -77,7 +78,10 @@ def _surface(run: StageRun, views: Views, extent: Extent, voxel: float) -> tuple
     mesh = pieces(0.0)
     outward, limit = 0.0, MOST_OUTWARD * truncation
     for _ in range(ROUNDS if p.match_outlines and len(mesh.faces) else 0):
-        outward = float(np.clip(outward + outline_gap(mesh, views), -limit, limit))
+        gap = outline_gap(mesh, views)
+        if abs(gap) < OUTLINE_ERROR * extent.footprint:
+            break
+        outward = float(np.clip(outward + gap, -limit, limit))
         mesh = pieces(outward)
     if not len(mesh.faces):
         folder = run.inputs["train"] / files.GBUFFERS

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pipeline.asset.ambient import sky_seen
-from pipeline.asset.atlas import PADDING, texels_of, unwrap
+from pipeline.asset.atlas import MOST_FACES, PADDING, parts_of, texels_of, unwrap
 from pipeline.asset.bake import GUESSED
 from pipeline.asset.photo_detail import CapturedLight, photo_detail
 from pipeline.asset.tangents import in_tangent_frame, vertex_tangents
@@ -82,6 +82,23 @@ def test_the_atlas_keeps_charts_apart_at_any_scale():
         near = np.array([np.roll(covered, (i, j), (0, 1)) for i in range(-PADDING + 2, PADDING - 1) for j in range(2)])
         assert not ((covered == 0) & (near == 1).any(0)).any()
     assert len(sizes) == 1
+
+
+def test_a_mesh_of_many_triangles_is_laid_out_in_parts_and_keeps_their_order():
+    step = np.arange(65.0)
+    x, y = np.meshgrid(step, step)
+    vertices = np.stack([x.ravel(), y.ravel(), 3 * np.sin(x / 9).ravel()], -1)
+    at = np.arange(65 * 65).reshape(65, 65)
+    a, b, c, d = (part.ravel() for part in (at[:-1, :-1], at[:-1, 1:], at[1:, :-1], at[1:, 1:]))
+    faces = np.concatenate([np.stack([a, b, d], -1), np.stack([a, d, c], -1)])
+    assert len(faces) > MOST_FACES
+    part = parts_of(vertices[faces].mean(1), MOST_FACES)
+    assert np.bincount(part).max() <= MOST_FACES and np.bincount(part).min() >= MOST_FACES // 2 - 1
+    atlas = unwrap(vertices, faces, 0.25, 512)
+    assert np.array_equal(atlas.source[atlas.faces], faces)
+    covered = np.zeros(len(faces), bool)
+    covered[texels_of(atlas).face] = True
+    assert covered.mean() > 0.9 and atlas.uv.min() >= 0 and atlas.uv.max() <= 1
 
 
 def test_tangents_follow_u_and_make_a_right_handed_frame(baked):

@@ -212,3 +212,26 @@ def test_empty_depth_is_a_user_error(sphere_views, run_stage):
     views = [type(v)(v.camera, 0 * v.depth, v.normal, v.material, v.alpha) for v in sphere_views(1.0, count=3)]
     with pytest.raises(UserError, match="no view shows the object"):
         run_stage(views)
+
+
+def test_surfaces_whose_outlines_agree_are_extracted_once(sphere_views, run_stage, monkeypatch):
+    from stages.mesh import run as steps
+
+    extracted = []
+    whole = Volume.extract
+    monkeypatch.setattr(Volume, "extract", lambda self, outward=0.0: extracted.append(outward) or whole(self, outward))
+    monkeypatch.setattr(steps, "outline_gap", lambda mesh, views: 0.0)
+    run_stage(sphere_views(1.0, count=8, size=32))
+    assert extracted == [0.0]
+
+
+def test_a_volume_extracts_what_was_fused_since(sphere_views):
+    views = sphere_views(1.0, count=8, size=32)
+    extent = measure(views)
+    volume = Volume(views, extent, 1.2 * extent.footprint, 7 * extent.footprint)
+    counts = []
+    for part in (views[:2], views[2:]):
+        for view in part:
+            volume.integrate(view, 0.15)
+        counts.append(len(Mesh.from_open3d(volume.extract()).faces))
+    assert counts[1] > counts[0] > 0

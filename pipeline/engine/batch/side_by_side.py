@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO
 
+from pipeline.cores import usable_cores
 from pipeline.engine.batch.logs import log_file, open_log
 from pipeline.engine.batch.row import Row
 from pipeline.engine.child import ended_by_signal, stage_command, stage_environment
@@ -23,6 +24,8 @@ from pipeline.errors import UserError, line_of
 
 TRIES = 3  # a stage that a signal ended is tried again: the machine may have been short of memory for a while
 SAID = "polarfield: "
+PROCESSES_CAN_BE_WAITED_FOR = hasattr(os, "pidfd_open")  # Linux; elsewhere they are looked at again and again
+LOOK_AGAIN_S = 0.2
 THREADS = ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
 
@@ -51,7 +54,7 @@ class SideBySide:
         self.tries: dict[tuple[str, str], int] = {}
         self.selector = selectors.DefaultSelector()
         self.environment = stage_environment()
-        share = max(1, len(os.sched_getaffinity(0)) // jobs)
+        share = max(1, usable_cores() // jobs)
         for name in THREADS if jobs > 1 else ():
             self.environment.setdefault(name, str(share))
 
@@ -111,16 +114,26 @@ class SideBySide:
                 command, env=self.environment, preexec_fn=in_child, stdout=stream, stderr=stream, stdin=subprocess.DEVNULL
             )
             self.running[process.pid] = Work(row, step, process, log, row.memory_mb(step))
-            self.selector.register(os.pidfd_open(process.pid), selectors.EVENT_READ, process.pid)
+            if PROCESSES_CAN_BE_WAITED_FOR:
+                self.selector.register(os.pidfd_open(process.pid), selectors.EVENT_READ, process.pid)
 
     def _ended(self) -> Iterator[Work]:
         """Wait until at least one stage has ended."""
-        for key, _ in self.selector.select() if self.running else ():
-            self.selector.unregister(key.fd)
-            os.close(key.fd)
-            work = self.running.pop(key.data)
+        for number in self._numbers_of_ended() if self.running else ():
+            work = self.running.pop(number)
             work.process.wait()
             yield work
+
+    def _numbers_of_ended(self) -> list[int]:
+        if not PROCESSES_CAN_BE_WAITED_FOR:
+            while not (ended := [number for number, work in self.running.items() if work.process.poll() is not None]):
+                time.sleep(LOOK_AGAIN_S)
+            return ended
+        keys = [key for key, _ in self.selector.select()]
+        for key in keys:
+            self.selector.unregister(key.fd)
+            os.close(key.fd)
+        return [key.data for key in keys]
 
     def _conclude(self, work: Work) -> None:
         """What came of a stage: its version is put to use, or it is tried again, or its capture is given up."""

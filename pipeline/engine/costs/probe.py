@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-import os
+import platform
 import time
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
 import numpy as np
+
+from pipeline.cores import usable_cores
 
 REPEATS = 7
 REFERENCE_S = {"interpreter": 0.0029, "arrays": 0.0026}
@@ -25,7 +27,7 @@ def slowness() -> float:
 @cache
 def machine() -> str:
     """A name for this machine's processor and how many of its cores this process may use."""
-    model = "unknown processor"
+    model = platform.machine() or "unknown processor"
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
         model = next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), model)
@@ -36,7 +38,7 @@ def machine() -> str:
 
 def cores() -> int:
     """Cores that this process may use."""
-    return len(os.sched_getaffinity(0))
+    return usable_cores()
 
 
 def _least(task: Callable[[], object]) -> float:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import resource
+import sys
 import threading
 import time
 from collections.abc import Callable
@@ -12,16 +14,17 @@ from typing import Any
 
 from pipeline.engine.dataset.documents import read_object
 
+PROCESSES = Path("/proc")
 PAGE = os.sysconf("SC_PAGE_SIZE")
 
 
 def _children() -> dict[int, list[int]]:
     """Child process ids by parent, for the processes one can see."""
     out: dict[int, list[int]] = {}
-    for entry in os.listdir("/proc"):
+    for entry in os.listdir(PROCESSES):
         if entry.isdigit():
             try:
-                parent = int(Path(f"/proc/{entry}/stat").read_text().rpartition(")")[2].split()[1])
+                parent = int((PROCESSES / entry / "stat").read_text().rpartition(")")[2].split()[1])
             except (OSError, IndexError, ValueError):
                 continue  # it ended meanwhile
             out.setdefault(parent, []).append(int(entry))
@@ -29,23 +32,31 @@ def _children() -> dict[int, list[int]]:
 
 
 def _resident_bytes() -> int:
-    """Resident memory of this process and all its descendants."""
+    """Resident memory of this process and all its descendants; where no system tells (/proc), the peak of either."""
+    if not PROCESSES.exists():
+        return max(_peak_bytes(resource.RUSAGE_SELF), _peak_bytes(resource.RUSAGE_CHILDREN))
     tree, queue, total = _children(), [os.getpid()], 0
     while queue:
         pid = queue.pop()
         queue += tree.get(pid, [])
         try:
-            total += int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * PAGE
+            total += int((PROCESSES / str(pid) / "statm").read_text().split()[1]) * PAGE
         except (OSError, IndexError):
             continue  # it ended meanwhile
     return total
 
 
 def _own_peak_bytes() -> int:
-    for line in Path("/proc/self/status").read_text().splitlines():
+    if not PROCESSES.exists():
+        return _peak_bytes(resource.RUSAGE_SELF)
+    for line in (PROCESSES / "self/status").read_text().splitlines():
         if line.startswith("VmHWM:"):
             return int(line.split()[1]) * 1024
     return 0
+
+
+def _peak_bytes(whose: int) -> int:
+    return resource.getrusage(whose).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
 
 
 class Usage:
