@@ -67,6 +67,11 @@ def test_changes_multiply_in_the_time_of_their_stage_and_in_the_error():
     assert error == pytest.approx(1.3 * 1.1 * 1.05)
 
 
+def test_what_a_trial_took_longer_in_other_stages_is_the_machine_s():
+    busy = Measured({"train.iterations": 500}, {"decode": 2.0, "train": 30.0, "mesh": 36.0}, 1.3)
+    assert predicted(BASE, [busy])[0] == pytest.approx(50) and predicted(BASE, [LONG])[0] == pytest.approx(145)
+
+
 def test_half_the_time_takes_the_combination_that_costs_least_error():
     assert best_within(BASE, SINGLES, 50.0) == {"train.iterations": 500}
     assert best_within(BASE, SINGLES, 45.0) == {"train.iterations": 500, "mesh.voxel_px": 2.0}
