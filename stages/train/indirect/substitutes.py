@@ -76,10 +76,10 @@ class LocalEnvironments(Substitute):
     @torch.no_grad()
     def at(self, view: View, gbuffer: GBuffer, follows: bool = False) -> Occlusion:
         """Look the anchors up at a view's pixels."""
-        rows, *surface = shown_surface(view, gbuffer)
+        rows, points, normals, towards = shown_surface(view, gbuffer)
         roughness = gbuffer.roughness[rows].clamp(ROUGHNESS_FLOOR, 1).cpu().numpy()
-        weight = self.grid.blend(surface[0])
-        found = self.grid.occlusion(*surface, roughness, self.light, mirror_blocked(self.scene, *surface), weight)
+        weight, blocked = self.grid.blend(points), mirror_blocked(self.scene, points, normals, towards)
+        found = self.grid.occlusion(points, normals, towards, roughness, self.light, blocked, weight)
 
         def everywhere(values: torch.Tensor) -> torch.Tensor:
             out = torch.zeros(len(gbuffer.alpha), *values.shape[1:], device=rows.device)
@@ -89,8 +89,8 @@ class LocalEnvironments(Substitute):
         shadow = torch.zeros_like(bounced)  # all light comes from the anchors
         if not follows:
             return Occlusion(shadow, bounced, unblocked, seen)
-        slope = everywhere(torch.as_tensor(self._slope(weight, surface[1], found.bounced.numpy())))
-        return LocalLight(shadow, bounced, unblocked, seen, everywhere(torch.as_tensor(surface[1])), slope)
+        slope = everywhere(torch.as_tensor(self._slope(weight, normals, found.bounced.numpy())))
+        return LocalLight(shadow, bounced, unblocked, seen, everywhere(torch.as_tensor(normals)), slope)
 
     def _slope(self, weight: np.ndarray, normal: np.ndarray, here: np.ndarray) -> np.ndarray:
         """Change [P, 3, 3] of the irradiance with the normal, across it; weight [P, A]: of the anchors."""
