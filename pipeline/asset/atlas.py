@@ -106,7 +106,8 @@ def _packed(vertices: NDArray, faces: NDArray, texel: float, padding: int) -> At
     pack.texels_per_unit, pack.padding, pack.bilinear = 1.0, padding, True
     atlas.generate(xatlas.ChartOptions(), pack)
     width, height = (max(SMALLEST, n) for n in (atlas.width, atlas.height))
-    source, uv, triangles = [], [], np.empty(faces.shape, np.int64)
+    source: list[NDArray[np.int64]] = []
+    uv, triangles = [], np.empty(faces.shape, np.int64)
     for k, number in enumerate(numbers):
         of, corners, at = atlas[k]
         triangles[number] = corners.astype(np.int64) + sum(map(len, source))
