@@ -153,7 +153,7 @@ def mesh(capture: Capture, parameters: Any) -> Costs:
     views = max(1, len(capture.pixels))
     pixels, share = _megapixels(capture), object_share(capture)
     around = 4 * pixels / views * share  # megapixels of the object's whole surface
-    fine = min(1.0, 1 / parameters.voxel_px**2)
+    fine = 4 / parameters.voxel_px**2 if capture.light_stage is not None else min(1.0, 1 / parameters.voxel_px**2)  # half of it
     return {
         ITSELF: Cost(1.8 + 2.0 * pixels + 120 * around * fine, 390.0 + 55 * pixels),
         "textures": Cost(1.5 + 80 * around / parameters.texel_px**2, 200 * around),

@@ -158,6 +158,19 @@ def grid(low: np.ndarray, high: np.ndarray, spacing: float) -> tuple[np.ndarray,
     Returns:
         Points from `low` to `high` or just beyond, x slowest [M, 3], and how many lie along x, y, z.
     """
-    # Counted, not stepped to an end: far from the origin the end would be met or missed by rounding.
-    axes = [a + spacing * np.arange(int(np.ceil(round((b - a) / spacing, 6))) + 1) for a, b in zip(low, high)]
+    axes = grid_axes(low, high, spacing)
     return np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3), tuple(map(len, axes))
+
+
+def grid_axes(low: np.ndarray, high: np.ndarray, spacing: float) -> list[np.ndarray]:
+    """Lay out the coordinates of `grid` along x, y and z.
+
+    Args:
+        low, high: corners of the box. [3]
+        spacing: between neighbours, in the same unit.
+
+    Returns:
+        From `low` to `high` or just beyond, by axis. 3 of [N]
+    """
+    # Counted, not stepped to an end: far from the origin the end would be met or missed by rounding.
+    return [a + spacing * np.arange(int(np.ceil(round((b - a) / spacing, 6))) + 1) for a, b in zip(low, high)]

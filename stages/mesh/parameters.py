@@ -9,7 +9,9 @@ from dataclasses import dataclass, field
 class MeshParameters:
     """How the depth images become a surface."""
 
-    voxel_px: float = field(default=1.2, metadata={"help": "voxel edge, in pixel footprints on the object (px)"})
+    voxel_px: float = field(
+        default=1.2, metadata={"help": "voxel edge, in pixel footprints on the object; a light stage takes half of it (px)"}
+    )
     max_voxels: int = field(default=320, metadata={"help": "voxels along the object's longest side at most (count)"})
     truncation_voxels: float = field(default=6.0, metadata={"help": "truncation distance (voxels)"})
     grazing: float = field(default=0.15, metadata={"help": "least cosine between ray and normal of a depth that counts"})

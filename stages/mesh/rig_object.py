@@ -25,6 +25,7 @@ from .rig_surface.unseen import smoothed_where_unseen
 from .rig_surface.vertex_maps import SurfacePoints, camera_values, filled, fused_maps
 
 SEEN_WITHIN = 3.0  # voxels: what a camera sees beyond that is another surface
+FINER = 0.5  # of `voxel_px`: measured normals place a surface within a tenth of a pixel, and fused pixels resolve half of one
 MOST_TRIANGLES = 1_000_000  # beyond it textures alone hold the detail
 
 
@@ -32,7 +33,7 @@ def make_rig_mesh(run: StageRun) -> None:
     """Find the surface, fuse the maps on it, write mesh.ply, asset/ and how far the cameras disagree. Raises UserError."""
     p = run.parameters
     rig = Rig(run.capture.root, run.inputs["decode"], run.inputs["olat"], run.inputs.get("masks"))
-    settings = SurfaceSettings(p.voxel_px, p.max_voxels, p.grazing, p.component_pct / 100)
+    settings = SurfaceSettings(FINER * p.voxel_px, p.max_voxels, p.grazing, p.component_pct / 100)
     mesh, voxel = find_surface(rig, settings, lambda text: run.progress.say(f"mesh: {text}"))
     slack = SEEN_WITHIN * voxel
     for finer in (False, True):  # every pixel's normal is measured: half a pixel between vertices carries it without blur

@@ -19,6 +19,7 @@ from pipeline.formats.ply import Ply
 from pipeline.geometry.cameras import Camera, camera_from_opengl, frame_of
 from pipeline.geometry.mesh import Mesh
 from pipeline.rig.object_rendering import RigObject
+from pipeline.rig.surface import volume
 from pipeline.rig.surface.belief import believed
 from pipeline.rig.surface.depths import find_depths, supports
 from pipeline.rig.surface.map_view import MapView
@@ -110,6 +111,22 @@ def test_known_distances_are_kept_and_completed():
     for ball, distance in zip(balls, find_depths(views, spans, known)):
         inner = ball.mask > 0.99
         assert np.quantile(np.abs(distance - ball.distance)[inner & (distance > 0)], 0.95) < 0.02
+
+
+def test_a_volume_in_layers_is_the_volume_at_once(monkeypatch):
+    """The grid is gone through a few layers at a time; the ball is the same, and its unseen back no spike."""
+    balls = ball_views(1.0)
+    views = [MapView(f"cam{k:02d}", b.camera, b.mask, b.normal, 0.5 * (b.normal != 0)) for k, b in enumerate(balls)]
+    hull, distances = hull_of(silhouettes_of(views), 64), [ball.distance for ball in balls]
+    whole, low = volume.fused_volume(views, distances, hull, 0.05, 0.15, 0.15)
+    monkeypatch.setattr(volume, "CHUNK", 5000)
+    layered, _ = volume.fused_volume(views, distances, hull, 0.05, 0.15, 0.15)
+    np.testing.assert_array_equal(layered, whole)
+    places = volume.extracted(whole, low, 0.05).vertices
+    away = np.linalg.norm(places, axis=1)
+    front = (places[:, 2] > 0.6) & (away > 0.7)  # squarely seen, and not what is guessed of its middle
+    assert np.abs(away[front] - 1).max() < 0.05
+    assert away.max() < 1.3
 
 
 def test_the_largest_disc_about_a_pixel():
@@ -226,6 +243,7 @@ def test_a_light_stage_becomes_one_mesh_with_its_maps(tmp_path):
     ply = Ply(run.output / "mesh.ply")
     seen = ply.vertices(("coverage",))[:, 0] >= 2
     pixel = radius / (0.42 * 48)
+    assert run.facts["voxel"] == pytest.approx(0.6 * pixel, rel=0.1)  # half of what depth images get
     away = np.abs(np.linalg.norm(ply.vertices(), axis=1) - radius)[seen] / pixel
     assert np.median(away) < 0.25 and np.quantile(away, 0.9) < 0.75
     normals = ply.vertices(("nx", "ny", "nz"))[seen]

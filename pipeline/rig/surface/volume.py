@@ -11,7 +11,7 @@ from scipy import ndimage
 
 from pipeline.geometry import fusion_kernel
 from pipeline.geometry.mesh import Mesh
-from pipeline.geometry.silhouette_hull import Silhouette, bounds, grid, occupancy, signed_distance
+from pipeline.geometry.silhouette_hull import Silhouette, bounds, grid, grid_axes, occupancy, signed_distance
 
 from .map_view import MapView
 
@@ -97,10 +97,10 @@ def fused_volume(
     """
     low, high = hull.box()
     margin = truncation + 2 * voxel
-    points, shape = grid(low - margin, high + margin, voxel)
-    depth_of_hull = np.concatenate([hull.at(points[k : k + CHUNK]) for k in range(0, len(points), CHUNK)])
-    near = np.flatnonzero(depth_of_hull > -margin)
-    place = np.ascontiguousarray(points[near], np.float32)
+    axes = grid_axes(low - margin, high + margin, voxel)
+    shape = tuple(map(len, axes))
+    near, place = _near(hull, axes, margin)
+    likely = _likely(views, distances, hull, margin)
     distance, weight = np.zeros(len(near), np.float32), np.zeros(len(near), np.float32)
     for view, seen in zip(views, distances):
         camera = view.camera
@@ -112,10 +112,9 @@ def fused_volume(
             np.ascontiguousarray(camera.world_to_camera), np.ascontiguousarray(camera.centre), camera.fx, camera.fy,
             camera.cx, camera.cy, truncation, grazing, FREE_WEIGHT,
         )  # fmt: skip
-    field = np.ones(len(points), np.float32)
+    field = np.ones(int(np.prod(shape)), np.float32)
     unseen = weight == 0
-    outside_hull = -depth_of_hull[near][unseen]
-    distance[unseen] = np.clip(np.maximum(outside_hull, _beyond(views, distances, place[unseen])) / truncation, -1, 1)
+    distance[unseen] = np.clip(-likely.at(place[unseen]) / truncation, -1, 1)
     field[near] = distance
     return field.reshape(shape), low - margin
 
@@ -128,6 +127,30 @@ def inscribed_radii(mask: Float) -> Float:
         covered = ndimage.distance_transform_edt(inner < radius) < radius
         out[covered] = np.maximum(out[covered], radius)
     return out
+
+
+def _near(hull: Hull, axes: list[Float], margin: float) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+    """Numbers [N] of a grid's points that lie in the hull or within `margin` of it, and their places [N, 3]: a few layers of
+    the grid at a time, for most of it is neither."""
+    layer = len(axes[1]) * len(axes[2])
+    step = max(1, CHUNK // layer)
+    numbers, places = [], []
+    for first in range(0, len(axes[0]), step):
+        points = np.stack(np.meshgrid(axes[0][first : first + step], axes[1], axes[2], indexing="ij"), -1).reshape(-1, 3)
+        found = np.flatnonzero(hull.at(points) > -margin)
+        numbers.append(first * layer + found)
+        places.append(points[found].astype(np.float32))
+    return np.concatenate(numbers), np.concatenate(places)
+
+
+def _likely(views: Sequence[MapView], distances: Sequence[Float], hull: Hull, margin: float) -> Hull:
+    """The hull without what is `_beyond` the seen, on its own grid: a guess need not be finer than what bounds it. Nothing is
+    guessed farther outside than `margin`."""
+    values = hull.values.ravel().copy()
+    within = np.flatnonzero(values > -margin - hull.spacing)
+    places = hull.low + hull.spacing * np.stack(np.unravel_index(within, hull.values.shape), -1)
+    values[within] = np.minimum(values[within], -_beyond(views, distances, places))
+    return Hull(hull.low, hull.spacing, values.reshape(hull.values.shape))
 
 
 def _beyond(views: Sequence[MapView], distances: Sequence[Float], points: Float) -> Float:
