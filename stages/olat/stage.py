@@ -112,7 +112,7 @@ def run(stage: StageRun) -> None:
 
 STAGE = Stage(
     name="olat",
-    version=12,
+    version=13,
     parameters=OlatParameters,
     needs=("decode", "masks"),
     needed=needed,
