@@ -10,6 +10,7 @@ from typing import Any
 
 from pipeline.capture import Capture
 from pipeline.capture.view_rules import too_few_views
+from stages.object_share import object_share
 
 MEBI = 2**20
 PROGRAM = 80.0  # Python, numpy and this program
@@ -104,7 +105,9 @@ def train(capture: Capture, parameters: Any, jobs: int) -> float:
     Returns:
         MiB at the peak.
     """
-    return 650.0 + 100 * sum(capture.pixels) / MEBI + 3e-3 * parameters.max_splats
+    seen = sum(capture.pixels) / max(1, len(capture.pixels)) * object_share(capture)  # pixels of the object in a view
+    splats = min(parameters.max_splats, 4 * seen / parameters.splat_pixels**2)  # a ball's surface is four times its disc
+    return 650.0 + 100 * sum(capture.pixels) / MEBI + 3e-3 * splats
 
 
 def mesh(capture: Capture, parameters: Any, jobs: int) -> float:

@@ -58,6 +58,11 @@ def how_made(name: str, stored: Any) -> str:
     kept = [row.get("made") for row in listed]
     made = sorted({f"{m['machine']}, {m['commit']}, {m['date']}" for m in kept if m})
     said = [f"Made on {'; '.join(made)}."] if made else []
+    since = {name: pair for m in kept if m for name, pair in m.get("defaults_since", {}).items()}
+    if since:
+        said.append(
+            "Defaults since: " + ", ".join(f"{name} {then} then, {now} now" for name, (then, now) in since.items()) + "."
+        )
     return " ".join([*said, *(["What it was made with was not kept."] if None in kept else [])])
 
 

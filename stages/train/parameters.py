@@ -42,10 +42,12 @@ class TrainParameters:
     preset: Literal["ours", "paper"] = field(
         default="ours", metadata={"help": "defaults of what is not given: this program's, or PhyGaP's method as it is printed"}
     )
-    iterations: int = _p(1500, "optimisation steps, one training view each (count)")
+    iterations: int = _p(1000, "optimisation steps, one training view each (count)")
     max_minutes: float = _p(0.0, "stop refining after this much training time; 0 = no limit (minutes)")
     seed: int = _p(0, "seed of every random choice")
-    max_splats: int = _p(34000, "upper bound of the number of Gaussians (count)")
+    max_splats: int = _p(
+        120000, "upper bound of the number of Gaussians, for memory and time; `splat_pixels` tells how many (count)"
+    )
     densify: bool = _p(True, "remove splats that never show and add some where the images pull hardest")
     concavities: Literal["auto", "on", "off"] = _p(
         "auto", "look for hollows that no silhouette shows, by what the images agree on at other depths; auto: with full Stokes"
@@ -53,13 +55,16 @@ class TrainParameters:
     start: Literal["auto", "hull", "points"] = _p(
         "auto", "start from the masks' visual hull or from sparse points of the poses stage (inside it); auto: the better"
     )
-    start_fraction: float = _p(0.8, "share of max_splats to start with; the rest is for densification (fraction)")
+    start_fraction: float = _p(0.8, "share of the splats to start with; the rest is for densification (fraction)")
     splat_pixels: float = _p(0.9, "wanted distance between neighbouring Gaussians (pixels of the training images)")
     pixels_per_splat: float = _p(
         0.0, "pixels of a view that a step looks at, for each splat that faces it, until the last phase; 0 = all (pixels)"
     )
     hull_resolution: int = _p(112, "voxels along the longest side of the visual hull (count)")
-    coarse_fraction: float = _p(0.0, "share of the steps that see images of half the size (fraction)")
+    coarse_fraction: float = _p(
+        0.3,
+        "share of the steps that see images of half the size, if these show enough of the object; 1: all, always (fraction)",
+    )
     consolidate_fraction: float = _p(0.15, "share of the steps at the end that see every training view (fraction)")
     validation_every: int = _p(0, "hold back every n-th training view for early stopping; 0 = automatic (views)")
     validate_steps: int = _p(200, "steps between validations (steps)")

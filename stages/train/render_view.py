@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 
@@ -13,10 +13,12 @@ from .indirect.pixel_light import PixelLight
 from .pixel_attributes import pixel_attributes
 from .rasterize import Raster, rasterize
 from .splats.gaussians import Splats, unit
-from .splats.taken_rows import facing, taken_rows
+from .splats.taken_rows import cosines, taken_rows
 from .views.view import View
 
-BACK_FACING = 0.1  # cosine below which a splat has turned its outer side away: half of it reaches past the horizon
+GRAZING = 0.1  # cosine below which a splat fades: half of it reaches past the horizon, and takes its normal there
+LEARNT_FROM = 0.05  # cosine from which it counts while training: what is seen edge-on would bend to please single pixels
+SHOWN_FROM = 0.0  # the same in what is written: straight sides have nothing else in the last pixel before their outline
 SCREEN_FILTER = 2  # half of gsplat's low-pass filter, which widens every outline by a pixel: 0.5 to 1 degree of normal error
 LAYER = 4.0  # median splat sigmas of depth within which splats are one surface: two pixels, when they are 0.9 apart
 SAMPLES = SCREEN_FILTER  # a side, for a pixel's mean normal: the filter is then the usual one on the larger image
@@ -50,7 +52,12 @@ class Rendered:
 
 
 def rasterise_view(
-    splats: Splats, view: View, pixels: torch.Tensor, backend: str, extra: torch.Tensor | None = None
+    splats: Splats,
+    view: View,
+    pixels: torch.Tensor,
+    backend: str,
+    extra: torch.Tensor | None = None,
+    faintest: float = LEARNT_FROM,
 ) -> GBuffer:
     """G-buffer of a view.
 
@@ -60,12 +67,13 @@ def rasterise_view(
         pixels: flat indices. [P]
         backend: rasteriser (`rasterize.BACKENDS`).
         extra: per-splat values that are blended alongside. [N, C]
+        faintest: LEARNT_FROM or SHOWN_FROM.
 
     Returns:
         Attributes at the pixels, divided by opacity; where opacity is below LEAST_ALPHA they fade to 0.
     """
-    rows = torch.nonzero(_faces(splats, view))[:, 0]
-    raster = _rasterised(splats, rows, view, backend, extra)
+    rows, shown = _facing(splats, view, faintest)
+    raster = _rasterised(splats, rows, shown, view, backend, extra)
     normal, albedo, roughness, ior, more, alpha = pixel_attributes(raster.features, raster.alpha, pixels)
     return GBuffer(normal, albedo, roughness, ior, more, alpha, raster.alpha, raster, rows)
 
@@ -78,12 +86,10 @@ def mean_normals(splats: Splats, view: View, backend: str, openings: bool) -> to
     thirds of a degree on a true surface. With `openings`, where no outer side is in the way of a splat that turns its
     back, its outward normal counts, which faces away from the camera: see `views.opening_pixels`.
     """
-    faces = _faces(splats, view)
-    sides = [faces, ~faces] if openings else [faces]
     total = None
-    for side in sides:
-        rows = torch.nonzero(side)[:, 0]
-        raster = _rasterised(splats, rows, view, backend, finer=SAMPLES)
+    for sign in (1, -1) if openings else (1,):
+        rows, there = _facing(splats, view, SHOWN_FROM, sign)
+        raster = _rasterised(splats, rows, there, view, backend, finer=SAMPLES)
         shown = unit(raster.features[..., :3]) * (raster.alpha > SHOWN)[..., None]
         total = shown if total is None else torch.where((total != 0).any(-1, keepdim=True), total, shown)
     assert total is not None
@@ -98,23 +104,30 @@ def inner_coverage(splats: Splats, view: View, backend: str) -> torch.Tensor:
 
     Through an opening one looks at the back of a surface, which is as opaque as its front.
     """
-    turned = replace(splats, normals=-splats.normals)
-    rows = torch.nonzero(_faces(turned, view))[:, 0]
-    return _rasterised(splats, rows, view, backend).alpha
+    return _rasterised(splats, *_facing(splats, view, SHOWN_FROM, -1), view, backend).alpha
 
 
 @torch.no_grad()
-def _faces(splats: Splats, view: View) -> torch.Tensor:
-    """Which splats [N] do not show the view their inner side."""
+def _facing(splats: Splats, view: View, faintest: float, side: int = 1) -> tuple[torch.Tensor, torch.Tensor]:
+    """Indices [R] of the splats that turn their outer side (-1: the inner one) to a view by a cosine above `faintest`, and how
+    far they count there, 0 there to 1 at GRAZING [R]."""
     centre = -view.world_to_camera[:3, :3].T @ view.world_to_camera[:3, 3]
-    return facing(splats, centre, BACK_FACING)
+    cosine = side * cosines(splats, centre)
+    rows = torch.nonzero(cosine > faintest)[:, 0]
+    return rows, ((cosine[rows] - faintest) / (GRAZING - faintest)).clamp_max(1)
 
 
 def _rasterised(
-    splats: Splats, rows: torch.Tensor, view: View, backend: str, extra: torch.Tensor | None = None, finer: int = 1
+    splats: Splats,
+    rows: torch.Tensor,
+    shown: torch.Tensor,
+    view: View,
+    backend: str,
+    extra: torch.Tensor | None = None,
+    finer: int = 1,
 ) -> Raster:
-    """The splats `rows` in a view, `finer` (1 or SCREEN_FILTER) times as large, with features [H, W, 8 + C]: normal, albedo,
-    roughness, IoR and `extra` [N, C]."""
+    """The splats `rows` in a view, `finer` (1 or SCREEN_FILTER) times as large, their opacities times `shown`, with features
+    [H, W, 8 + C]: normal, albedo, roughness, IoR and `extra` [N, C]."""
     height, width = view.size
     lens = view.intrinsics.clone()
     lens[:2] *= finer
@@ -124,7 +137,7 @@ def _rasterised(
         means,
         quaternions,
         scales,
-        opacities,
+        opacities * shown,
         features,
         view.world_to_camera,
         lens,
@@ -146,6 +159,7 @@ def render_view(
     mirror: str = "split",
     occlusion: Occlusion | Callable[[GBuffer], Occlusion] | None = None,
     extra: torch.Tensor | None = None,
+    faintest: float = LEARNT_FROM,
 ) -> Rendered:
     """Stokes image of a view at its P counting pixels, differentiable in splats and light.
 
@@ -158,8 +172,9 @@ def render_view(
         occlusion: what the object takes from and adds to the light at the pixels, or what tells it from the G-buffer; None:
             nothing.
         extra: per-splat values that are blended alongside. [N, C]
+        faintest: LEARNT_FROM or SHOWN_FROM.
     """
-    g = rasterise_view(splats, view, view.pixels, backend, extra)
+    g = rasterise_view(splats, view, view.pixels, backend, extra, faintest)
     # An empty pixel has a zero normal: any finite one will do, its opacity is 0.
     normal = torch.where(g.alpha[:, None] > 0, g.normal, view.view_direction)
     light_here = occlusion(g) if callable(occlusion) else occlusion

@@ -12,7 +12,7 @@ from pipeline.shading.occluded import LEAST_BLOCKED
 from .indirect.substitutes import substitute
 from .parameters import TrainParameters
 from .pixel_attributes import LEAST_ALPHA
-from .render_view import GBuffer, Rendered, rasterise_view, render_view
+from .render_view import LEARNT_FROM, SHOWN_FROM, GBuffer, Rendered, rasterise_view, render_view
 from .scene import Scene
 from .splats.gaussians import ROUGHNESS_FLOOR, Splats
 from .splats.splat_occlusion import BOUNCES, carried_hull, lit, trace_pixels, trace_splats
@@ -48,21 +48,28 @@ class Renderer:
         return self._shaded(self.scene.model.activated(), view, light, occlusion)
 
     def render_whole(self, view: View) -> Rendered:
-        """Any view, traced for itself where the object occludes itself."""
+        """Any view as it is written, traced for itself where the object occludes itself."""
         light, splats = self.light(), self.scene.model.activated()
         if self.substitute is not None:
             other = self.substitute
-            return self._shaded(splats, view, light, (lambda g: other.at(view, g)) if other.active else None)
+            return self._shaded(splats, view, light, (lambda g: other.at(view, g)) if other.active else None, SHOWN_FROM)
         traced = self.scene.splat_occlusion is not None
-        return self._shaded(splats, view, light, self.trace_view(view, light, splats) if traced else None)
+        occlusion = self.trace_view(view, light, splats, SHOWN_FROM) if traced else None
+        return self._shaded(splats, view, light, occlusion, SHOWN_FROM)
 
     def _shaded(
-        self, splats: Splats, view: View, light: LightField, occlusion: Occlusion | Callable[[GBuffer], Occlusion] | None
+        self,
+        splats: Splats,
+        view: View,
+        light: LightField,
+        occlusion: Occlusion | Callable[[GBuffer], Occlusion] | None,
+        faintest: float = LEARNT_FROM,
     ) -> Rendered:
         p = self.parameters
         extra = self.substitute.extra(view, splats) if self.substitute is not None and occlusion is not None else None
         return render_view(
-            splats, view, light, backend=self.backend, fresnel=p.fresnel, mirror=p.mirror, occlusion=occlusion, extra=extra
+            splats, view, light, backend=self.backend, fresnel=p.fresnel, mirror=p.mirror, occlusion=occlusion, extra=extra,
+            faintest=faintest,
         )  # fmt: skip
 
     @torch.no_grad()
@@ -92,25 +99,31 @@ class Renderer:
         scene.splat_occlusion = traced if traced.blocked >= LEAST_BLOCKED else None
 
     @torch.no_grad()
-    def trace_view(self, view: View, light: LightField, splats: Splats) -> Occlusion:
+    def trace_view(self, view: View, light: LightField, splats: Splats, faintest: float = LEARNT_FROM) -> Occlusion:
         """Occlusion at a view's pixels: shadow and bounce blended from the splats, the reflection lobe traced."""
         traced, occluder = self.scene.splat_occlusion, self.scene.occluder
         assert traced is not None and occluder is not None
         extra = torch.cat([traced.shadow, traced.bounced], -1)
-        g = rasterise_view(splats, view, view.pixels, self.backend, extra)
+        g = rasterise_view(splats, view, view.pixels, self.backend, extra, faintest)
+        shadow, bounced = g.extra[:, :3], g.extra[:, 3:]
+        unblocked, seen = torch.ones_like(g.alpha), torch.zeros_like(bounced)
+        # Where not one of the rays of the splats and of their neighbours met the object, the mirrored ones do not either.
+        rows = torch.nonzero((bounced > 0).any(-1))[:, 0]
+        if not len(rows):
+            return Occlusion(shadow=shadow, bounced=bounced, unblocked=unblocked, seen=seen)
         depth = g.raster.depth_expected.reshape(-1)[view.pixels] / g.alpha.clamp_min(LEAST_ALPHA)
         normal = torch.where(g.alpha[:, None] > 0, g.normal, view.view_direction)
-        unblocked, seen = trace_pixels(
+        unblocked[rows], seen[rows] = trace_pixels(
             occluder,
             splats,
             light,
-            view.points_at(depth).cpu().numpy(),
-            normal.cpu().numpy(),
-            view.view_direction.cpu().numpy(),
-            g.roughness.clamp(ROUGHNESS_FLOOR, 1).cpu().numpy(),
+            view.points_at(depth)[rows].cpu().numpy(),
+            normal[rows].cpu().numpy(),
+            view.view_direction[rows].cpu().numpy(),
+            g.roughness[rows].clamp(ROUGHNESS_FLOOR, 1).cpu().numpy(),
             self.scene.linked().spacing,
             self.parameters.seed,
             self.parameters.fresnel,
             lit(traced, self.bounces),
         )
-        return Occlusion(shadow=g.extra[:, :3], bounced=g.extra[:, 3:], unblocked=unblocked, seen=seen)
+        return Occlusion(shadow=shadow, bounced=bounced, unblocked=unblocked, seen=seen)

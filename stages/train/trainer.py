@@ -63,7 +63,7 @@ class Trainer:
     def step(self) -> dict[str, float]:
         """One optimisation step; returns the losses (weighted) by name."""
         phase = self.phase(self.iteration)
-        if self.upkeep.due(self.iteration):
+        if self.upkeep.due(self.iteration, phase.level):
             self.upkeep.refresh(self.iteration, self.pyramids[phase.level], phase.level)
         if self.iteration in ANGLE_STEPS and phase.level == 0:
             self.set_unknown_angles(phase.level)
@@ -89,7 +89,8 @@ class Trainer:
     def phase(self, iteration: int) -> Phase:
         """The schedule's settings at a step."""
         p = self.parameters
-        return phase_at(iteration / p.iterations, p.coarse_fraction, p.consolidate_fraction)
+        coarse = p.coarse_fraction if len(self.pyramids) > 1 else 0.0
+        return phase_at(iteration / p.iterations, coarse, p.consolidate_fraction)
 
     def view_at(self, iteration: int, phase: Phase) -> View:
         """The training view of a step: every view once an epoch, in an order that seed and epoch fix."""

@@ -22,9 +22,9 @@ DENSIFY_UNTIL = 0.6  # share of the run after which the splats stay as they are
 MOST_REMOVED = 0.5  # share of the splats from which on none is removed: the images are then at fault, not the splats
 LATE_FROM = 200  # steps before the first tracing without full Stokes, or of what stands in for it: light and albedo must mean
 # something
-TRACE_AT_FIRST = 50  # steps between two tracings at first, later a quarter of the steps done, up to CYCLE: before light is
+TRACE_AT_FIRST = 100  # steps between two tracings at first, later a quarter of the steps done, up to CYCLE: before light is
 # traced a crease's normals turn to where the sky explains it, and a tracing of turned normals keeps them there
-CONCAVITIES_AT = (400, 600, 800)  # steps (of CYCLE) before which hollows are looked for: the light must be about right
+CONCAVITIES_AT = (200, 400, 600)  # steps (of CYCLE) before which hollows are looked for: the light must be about right
 CONCAVITIES_UNTIL = 0.6  # share of the run after which there is no time left to settle
 LEAST_CONCAVITY = 0.004  # share of the surface below which it is not worth looking again: 20 of the search's samples
 ROUNDS = 4  # searches in a row: when a film is gone, the next finds what lies deeper yet
@@ -42,6 +42,7 @@ class Upkeep:
     Attributes:
         activity: what the images did to each splat since the last densification; `Trainer.step` adds to it.
         hollowed: share of the surface that each search so far found to lie deeper.
+        most: splats that there may be.
     """
 
     def __init__(
@@ -56,6 +57,8 @@ class Upkeep:
         self.scene, self.adam, self.renderer = scene, adam, renderer
         self.views, self.mode, self.parameters = views, mode, parameters
         self.hollowed: list[float] = []
+        self.most = min(parameters.max_splats, round(len(scene.model) / parameters.start_fraction))
+        self.traced_level: int | None = None
         self.forget_activity()
 
     @property
@@ -76,9 +79,9 @@ class Upkeep:
         """Take over a saved state."""
         self.activity, self.hollowed = Activity(**state["activity"]), list(state["hollowed"])
 
-    def due(self, iteration: int) -> bool:
-        """Whether there is anything to do before a step."""
-        return iteration % REFRESH == 0 or self.scene.graph is None or self.traces_before(iteration)
+    def due(self, iteration: int, level: int) -> bool:
+        """Whether there is anything to do before a step on images of a pyramid level."""
+        return iteration % REFRESH == 0 or self.scene.graph is None or self.traces_before(iteration, level)
 
     def refresh(self, iteration: int, views: Sequence[View], level: int) -> None:
         """What is due before step `iteration`; `views` of the pyramid level in use are traced."""
@@ -86,17 +89,20 @@ class Upkeep:
             self.scene.link_neighbours()
         if iteration % CYCLE == 0 and iteration > 0:
             self.densify(iteration)
-        traces = self.traces_before(iteration)
+        traces = self.traces_before(iteration, level)
         if traces:
             self.renderer.trace(views, level)
+            self.traced_level = level
         for _ in range(ROUNDS if self.looks_for_concavities(iteration) else 0):
             if not self.hollow_out():
                 break
             if traces:
                 self.renderer.trace(views, level)
 
-    def traces_before(self, iteration: int) -> bool:
-        """Whether what the object does to its own light is looked at anew before a step."""
+    def traces_before(self, iteration: int, level: int) -> bool:
+        """Whether what the object does to its own light is looked at anew before a step on images of a pyramid level."""
+        if self.traced_level not in (None, level):
+            return True  # the pixels are others
         indirect = self.parameters.indirect
         if indirect != "traced" or self.mode != "stokes":
             return indirect != "none" and iteration >= LATE_FROM and iteration % self.period == 0
@@ -110,7 +116,7 @@ class Upkeep:
         p, model = self.parameters, self.scene.model
         if p.densify and iteration / p.iterations <= DENSIFY_UNTIL:
             self._remove_faint()
-            split_edges(model, self.adam, edges_to_split(self.scene.linked(), self.activity, p.max_splats - len(model)))
+            split_edges(model, self.adam, edges_to_split(self.scene.linked(), self.activity, self.most - len(model)))
             self.scene.link_neighbours()
         self.forget_activity()
 
@@ -154,7 +160,7 @@ class Upkeep:
             return False
         field = DepthField(found.points, found.depths)
         hollow = hollowed(surface if scene.closed is None else scene.moved(scene.closed), field, spacing)
-        if hollow is None or refit(scene.model, self.adam, field, hollow, spacing, p.max_splats, p.seed) is None:
+        if hollow is None or refit(scene.model, self.adam, field, hollow, spacing, self.most, p.seed) is None:
             return False
         scene.hull, scene.closed = hollow, None
         scene.link_neighbours()

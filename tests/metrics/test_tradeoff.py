@@ -93,12 +93,13 @@ result_extra: dict[str, float] = {}
 
 def made_up(changed):
     """A run whose time and errors follow its steps, splats and voxels."""
-    steps, splats = changed.get("train.iterations", 1500), changed.get("train.max_splats", 34000)
+    steps, apart = changed.get("train.iterations", 1500), changed.get("train.splat_pixels", 0.9)
+    splats = 34000 * (0.9 / apart) ** 2
     voxel, split = changed.get("mesh.voxel_px", 1.2), changed.get("train.mirror") == "split"
     train = 10 + result_extra.get("train", 0.0) + 0.06 * steps * (splats / 34000) ** 0.6 * (0.6 if split else 1.0)
     taken = {"decode": 2.0, "train": train, "mesh": 12 * (1.2 / voxel) ** 2}
     parameters = {
-        "train": {"iterations": steps, "max_splats": splats, "mirror": "lobe-12", "indirect": "traced"},
+        "train": {"iterations": steps, "splat_pixels": apart, "mirror": "lobe-12", "indirect": "traced"},
         "mesh": {"voxel_px": voxel},
     }
     facts = {"train": {"indirect": {"run": False, "reason": "the object hides nothing"}}}
@@ -158,7 +159,7 @@ def test_a_multi_view_capture_gets_both_lines_within_ten_times_its_own_time(tmp_
     own = sum(table["base"]["seconds"].values())
     runs = {json.dumps(run["changed"], sort_keys=True): run for run in table["runs"]}
     assert sum(sum(run["seconds"].values()) for run in table["runs"]) <= 10 * own
-    assert {"train.iterations", "train.max_splats", "mesh.voxel_px"} <= {name for changed in tried for name in changed}
+    assert {"train.iterations", "train.splat_pixels", "mesh.voxel_px"} <= {name for changed in tried for name in changed}
     assert not any("train.indirect" in changed for changed in tried)  # the run left that out
     said = capsys.readouterr().out
     for line in (FAST, FINE):

@@ -33,7 +33,7 @@ class Trial:
 # Of a stage, the parameters that own its time first.
 FACTORS = (
     ("train.iterations", ((1 / 3, 0.4), (2 / 3, 0.7), (1.6, 1.6))),
-    ("train.max_splats", ((0.5, 0.75), (1.6, 1.3))),
+    ("train.splat_pixels", ((1.4, 0.75), (0.8, 1.3))),
     ("mesh.voxel_px", ((1.6, 0.5), (0.75, 1.8))),
     ("relight.cube", ((0.5, 0.6), (2.0, 2.5))),
 )
@@ -46,7 +46,7 @@ CHOICES = (
     ("olat.lobe", (("ward", 0.9),)),
     ("olat.precision", (("float64", 1.8),)),
 )
-WHOLE = {"train.iterations", "train.max_splats"}
+WHOLE = {"train.iterations"}
 CUBES = (16, 512)
 """relight.cube stays within these powers of two."""
 

@@ -11,6 +11,7 @@ from pipeline.kernels.numerics import exp
 MATH = {"contract", "reassoc", "nsz", "arcp"}
 _ONE, _ZERO = np.float32(1), np.float32(0)
 _LEAST_LENGTH = np.float32(1e-12)  # of a normal, as in `gaussians.unit`
+_TINY = np.float32(1e-30)
 
 
 @kernel(nogil=True, error_model="numpy", fastmath=MATH)
@@ -99,12 +100,12 @@ def put_rows(rows, gradients, g_features, means, scales, opacities, normals, alb
 
 
 @kernel(nogil=True, error_model="numpy", fastmath=MATH)
-def facing(means, normals, centre, least, out):
-    """Whether each splat's cosine with the direction to `centre` [3] exceeds `least`: out [N] bool."""
+def cosines(means, normals, centre, out):
+    """Cosine out [N] between each splat's normal and the direction to `centre` [3]."""
     for i in range(len(means)):
         x, y, z = centre[0] - means[i, 0], centre[1] - means[i, 1], centre[2] - means[i, 2]
         dot = normals[i, 0] * x + normals[i, 1] * y + normals[i, 2] * z
-        out[i] = dot > least * np.sqrt(x * x + y * y + z * z)
+        out[i] = dot / np.sqrt(max(x * x + y * y + z * z, _TINY))
 
 
 @kernel(nogil=True, error_model="numpy", fastmath=MATH)

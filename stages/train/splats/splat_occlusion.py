@@ -20,7 +20,7 @@ from ..initialise.hull import HullMesh
 from .gaussians import SplatModel, Splats
 from .surface_graph import SurfaceGraph
 
-DIFFUSE_RAYS = 96  # cosine-weighted rays a splat; their noise is averaged over neighbours as well
+DIFFUSE_RAYS = 48  # cosine-weighted rays a splat; their noise is averaged over neighbours as well
 BOUNCES = 2  # reflections of light between places of the object that are followed
 AT_ONCE = 4096  # splats traced at a time: all 3 million rays at once were the run's peak of memory, 0.7 GiB
 SHADED_AT_ONCE = 262144  # blocked rays whose ends are shaded at a time

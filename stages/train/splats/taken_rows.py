@@ -62,11 +62,11 @@ def taken_rows(splats: Splats, rows: torch.Tensor, extra: torch.Tensor | None) -
 
 
 @torch.no_grad()
-def facing(splats: Splats, centre: torch.Tensor, least: float) -> torch.Tensor:
-    """Which splats [N] turn their outer side to a point [3], with a cosine above `least`."""
+def cosines(splats: Splats, centre: torch.Tensor) -> torch.Tensor:
+    """Cosine [N] between each splat's normal, on its outer side, and the direction to a point [3]."""
     if splats.means.device.type == "cpu" and splats.means.dtype == torch.float32:
-        out = np.empty(len(splats.means), bool)
-        kernels.facing(array(splats.means), array(splats.normals), array(centre), np.float32(least), out)
+        out = np.empty(len(splats.means), np.float32)
+        kernels.cosines(array(splats.means), array(splats.normals), array(centre), out)
         return torch.from_numpy(out)
     towards = centre - splats.means
-    return (splats.normals * towards).sum(-1) > least * towards.norm(dim=-1)
+    return (splats.normals * towards).sum(-1) / towards.norm(dim=-1).clamp_min(1e-15)
