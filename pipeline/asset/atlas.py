@@ -106,10 +106,12 @@ def _packed(vertices: NDArray, faces: NDArray, texel: float, padding: int) -> At
     pack.texels_per_unit, pack.padding, pack.bilinear = 1.0, padding, True
     atlas.generate(xatlas.ChartOptions(), pack)
     width, height = (max(SMALLEST, n) for n in (atlas.width, atlas.height))
-    source, uv, triangles = [], [], np.empty(faces.shape, np.int64)
+    source: list[NDArray] = []
+    uv: list[NDArray] = []
+    triangles = np.empty(faces.shape, np.int64)
     for k, number in enumerate(numbers):
         of, corners, at = atlas[k]
-        triangles[number] = corners.astype(np.int64) + sum(map(len, source))
+        triangles[number] = corners.astype(np.int64) + sum(len(part) for part in source)
         source.append(used[k][of])
         uv.append(at.astype(np.float64) * (atlas.width / width, atlas.height / height))
     return Atlas(np.concatenate(source), triangles, np.concatenate(uv), width, height)
