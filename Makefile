@@ -5,7 +5,7 @@ DEVICE ?= auto
 JOBS ?= 1
 DEMO ?= build/demo
 STAGES := decode poses masks olat train mesh relight metrics
-BENCHES := $(addprefix bench-,approximations mesh rasterize shading decode masks olat train light ablation poses)
+BENCHES := $(addprefix bench-,approximations mesh rasterize shading decode masks olat train light ablation assets poses)
 
 # A misspelt variable would be ignored without a word.
 VARIABLES := CAPTURE DATASET PARAMS ENVS DEVICE JOBS DRY_RUN YES FULL REPAIR CAPTURES MEMORY PYTHON VENV DEMO
@@ -47,8 +47,10 @@ $(INSTALLED): pyproject.toml constraints.txt tools/system_libraries.sh
 	$(BIN)/python -m pip install --quiet --quiet --no-compile --disable-pip-version-check --constraint constraints.txt --editable '.[test]'
 	@touch $@
 
+# Each is half a minute of one core: side by side, what training runs costs no time of its own on two.
 $(READY): $(INSTALLED)
-	$(BIN)/python -m stages.olat.compile
+	@echo "compiling the fits and what training runs"
+	@$(BIN)/python -m stages.olat.compile & fits=$$!; OMP_NUM_THREADS=1 $(BIN)/python -m stages.train.compile && wait $$fits
 	@touch $@
 
 demo: $(READY)  ## a tiny synthetic capture through every stage
@@ -61,12 +63,12 @@ demo: $(READY)  ## a tiny synthetic capture through every stage
 # three times the time. The tests of a file stay together (tests/conftest.py).
 TESTS = OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 $(BIN)/python -m pytest -n logical --dist loadfile
 
-# mypy and the compilation of the fits take a minute of one core each.
+# mypy and the compilation take a minute of one core each.
 test: $(INSTALLED)  ## everything; `test-fast` first tells soon what is wrong
 	@$(MAKE) --no-print-directory --jobs=2 --output-sync=target lint $(READY)
 	$(TESTS)
 
-test-fast: $(READY)  ## the fast ones alone: about a minute, and another the first time, for compiling
+test-fast: $(READY)  ## the fast ones alone: about a minute
 	$(TESTS) -m "not slow"
 
 # Every stop is a run of its own: some two thousand of them, a minute a hundred on quiet cores.

@@ -21,12 +21,12 @@ STATE = ROOT / "build" / "bench" / "finished.json"
 RESULTS = ROOT / "benchmarks" / "results"
 ALWAYS = {
     "approximations": [], "mesh": [], "rasterize": ["--json", str(RESULTS / "rasterize.json")],
-    "shading": ["--json", str(ROOT / "build" / "bench" / "shading.json")],
+    "shading": ["--json", str(RESULTS / "shading.json")],
 }  # fmt: skip
 """Benchmarks that make all that they measure, with their arguments."""
 ON_CAPTURES = {
     "decode": [], "masks": [], "olat": [], "train": ["--out", str(RESULTS), "--resume"], "light": ["--out", str(RESULTS)],
-    "ablation": ["--out", str(RESULTS)],
+    "ablation": ["--out", str(RESULTS)], "assets": [],
 }  # fmt: skip
 """Benchmarks on captures with ground truth."""
 PHOTOGRAPHS = "castle"

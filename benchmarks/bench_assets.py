@@ -1,6 +1,7 @@
 """What other programs make of an asset: Mitsuba and Blender under a dataset's own maps, against its relit views.
 
-    python -m benchmarks.bench_assets DATASET [--blender PYTHON_WITH_BPY] [--views 2] [--samples 512] [--out FOLDER]
+    python -m benchmarks.bench_assets DATASET --environment MAP [--blender PYTHON_WITH_BPY] [--views 2] [--samples 512]
+    python -m benchmarks.bench_assets --captures DIR [--capture NAME] ...: of a whole run of that capture, kept in assets.json
 
 Foreground PSNR in dB, sRGB-encoded and clipped: each file as the program opens it, from captured cameras, without a hand edit.
 """
@@ -9,14 +10,26 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import subprocess
+import sys
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.case_store import made_with
+from benchmarks.stability.processor_time import processor_s
+from pipeline.capture import open_capture
 from pipeline.formats.images import RGB, read_image, srgb_encode, write_png, write_rgb
 from pipeline.geometry.cameras import OPENGL_FROM_OPENCV, Camera, load_cameras
+from stages.mesh.parameters import MeshParameters
+from stages.relight.parameters import RelightParameters
+from stages.train.parameters import TrainParameters
+
+RESULTS = Path(__file__).parent / "results" / "assets.json"
 
 BLENDER_FILES = ("blender.py", "asset.glb", "asset.usdz", "asset.obj")
 MITSUBA_FROM_OPENCV = np.diag([-1.0, -1.0, 1.0, 1.0])  # x left, y up, z forward
@@ -74,52 +87,111 @@ def foreground_psnr(image: NDArray, truth: NDArray, inside: NDArray[np.bool_]) -
     return float(-10 * np.log10(max(float((difference.astype(np.float64) ** 2).mean()), 1e-12)))
 
 
+@dataclass(frozen=True)
+class Relit:
+    """What is compared: a dataset's asset, a map, cameras and their motions to the asset's frame, our images of them [H, W, 3]
+    linear, and the pixels that are judged [H, W]."""
+
+    asset: Path
+    environment: Path
+    views: dict[str, tuple[Camera, NDArray]]
+    ours: dict[str, NDArray]
+    inside: dict[str, NDArray[np.bool_]]
+
+
+def read(dataset: Path, environment: Path, count: int) -> Relit:
+    """So many views of a dataset that was relit under this map, evenly chosen."""
+    asset = (dataset / "mesh" / "current" / "asset").resolve()
+    relit = dataset / "relight" / "current" / environment.stem
+    cameras = load_cameras(dataset / "poses" / "current" / "cameras.json")
+    matrix = np.array(json.loads((asset / "asset.json").read_text())["asset_from_world"])
+    chosen = sorted(cameras)[:: max(1, len(cameras) // count)][:count]
+    return Relit(
+        asset, environment.resolve(),
+        {name: (cameras[name], camera_to_asset(cameras[name], matrix)) for name in chosen},
+        {name: read_image(relit / f"{name}.exr", [f"S0.{c}" for c in RGB]) for name in chosen},
+        {name: inner(dataset / "train" / "current" / "gbuffer" / f"{name}.exr") for name in chosen},
+    )  # fmt: skip
+
+
+def figures(found: dict[str, NDArray], relit: Relit) -> dict[str, Any]:
+    """PSNR of the object (dB) and its mean radiance beside ours by channel, in another program's pictures, means over views."""
+    levels = [foreground_psnr(image, relit.ours[view], relit.inside[view]) for view, image in found.items()]
+    ratios = [image[relit.inside[view]].mean(0) / relit.ours[view][relit.inside[view]].mean(0) for view, image in found.items()]
+    return {"psnr_foreground": float(np.mean(levels)), "mean_ratio": np.round(np.mean(ratios, 0), 3).tolist()}
+
+
+def show(name: str, found: dict[str, NDArray], relit: Relit, out: Path) -> None:
+    """Write each picture beside ours and their difference (PNG), and as it is (EXR)."""
+    for view, image in found.items():
+        ours, stem = relit.ours[view], f"{name.replace(' ', '-')}-{view}"
+        panels = (image, ours, 0.5 + image - ours)
+        write_png(out / f"{stem}.png", np.concatenate([srgb_encode(np.clip(panel, 0, 1)) for panel in panels], 1))
+        write_rgb(out / f"{stem}-linear.exr", image)
+
+
+def made(captures: Path, name: str, out: Path) -> tuple[Path, Path]:
+    """The dataset of a capture, made or brought up to date by the whole program, and the first map that it was relit under."""
+    dataset = out / name
+    command = [sys.executable, "-m", "stages", "all", str(captures / name), "--dataset", str(dataset), "--quiet"]
+    subprocess.run(command, check=True)
+    return dataset, open_capture(captures / name).environments[0]
+
+
 def main() -> None:
-    """Compare every file of a dataset's asset under every map of its relight stage."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("dataset", type=Path)
-    parser.add_argument("--asset", type=Path)
-    parser.add_argument("--relight", type=Path)
-    parser.add_argument("--environment", type=Path, required=True, help="the map, as relight was given it")
-    parser.add_argument("--blender", default="")
+    """Compare every file of a dataset's asset under a map of its relight stage."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("dataset", type=Path, nargs="?", help="made of a capture if it is not given")
+    parser.add_argument("--environment", type=Path, help="the map, as relight was given it; must be given with a dataset")
+    parser.add_argument("--captures", type=Path, default=os.environ.get("POLARFIELD_CAPTURES"))
+    parser.add_argument("--capture", default="spot-venice", help="one with maps of its own")
+    parser.add_argument("--blender", default="", help="a Python that has bpy")
     parser.add_argument("--files", nargs="*", default=BLENDER_FILES)
     parser.add_argument("--views", type=int, default=2)
-    parser.add_argument("--samples", type=int, default=512, help="a pixel: with 48, noise alone took 1 to 4 dB")
-    parser.add_argument("--out", type=Path, default=Path("build/assets"))
+    parser.add_argument("--samples", type=int, default=512, help="a pixel: with 48, noise took 1 to 4 dB")
+    parser.add_argument("--out", type=Path, default=Path("build/bench/assets"))
     options = parser.parse_args()
-    asset = (options.asset or options.dataset / "mesh" / "current" / "asset").resolve()
-    relit = (options.relight or options.dataset / "relight" / "current") / options.environment.stem
-    cameras = load_cameras(options.dataset / "poses" / "current" / "cameras.json")
-    matrix = np.array(json.loads((asset / "asset.json").read_text())["asset_from_world"])
-    chosen = sorted(cameras)[:: max(1, len(cameras) // options.views)][: options.views]
-    views = {name: (cameras[name], camera_to_asset(cameras[name], matrix)) for name in chosen}
-    ours = {name: read_image(relit / f"{name}.exr", [f"S0.{c}" for c in RGB]) for name in chosen}
-    inside = {name: inner(options.dataset / "train" / "current" / "gbuffer" / f"{name}.exr") for name in chosen}
+    if (options.dataset is None) != (options.environment is None) or (options.dataset is None and options.captures is None):
+        parser.error("give DATASET and --environment, or --captures")
     options.out.mkdir(parents=True, exist_ok=True)
-    environment = options.environment.resolve()
-    pictures = {
-        "mitsuba asset.xml": {
-            n: by_mitsuba(asset, "asset.xml", environment, c, p, options.samples) for n, (c, p) in views.items()
-        }
-    }
-    for file in options.files if options.blender else ():
-        pictures[f"blender {file}"] = by_blender(
-            options.blender, asset, file, environment, views, options.samples, options.out.resolve()
+    name = options.capture if options.dataset is None else options.dataset.name
+    dataset, environment = (
+        (options.dataset, options.environment) if options.dataset else made(options.captures, name, options.out)
+    )
+    relit = read(dataset, environment, options.views)
+    for key in ("mitsuba asset.xml", *(f"blender {file}" for file in options.files if options.blender)):
+        before = processor_s()
+        found = pictures(key, relit, options)
+        row = figures(found, relit) | {"seconds": round((processor_s() - before) / len(found), 2), "samples": options.samples}
+        print(json.dumps({"by": key, **row}))
+        show(key, found, relit, options.out)
+        if options.dataset is None:
+            keep(f"{name}, {key}", row)
+
+
+def pictures(key: str, relit: Relit, options: argparse.Namespace) -> dict[str, NDArray]:
+    """Linear RGB [H, W, 3] of every view by "PROGRAM FILE"."""
+    program, _, file = key.partition(" ")
+    if program == "blender":
+        return by_blender(
+            options.blender, relit.asset, file, relit.environment, relit.views, options.samples, options.out.resolve()
         )
-    for name, found in pictures.items():
-        figures = {view: round(foreground_psnr(found[view], ours[view], inside[view]), 2) for view in chosen}
-        bias = {
-            view: np.round(found[view][inside[view]].mean(0) / ours[view][inside[view]].mean(0), 3).tolist() for view in chosen
-        }
-        print(json.dumps({"by": name, "psnr_foreground": figures, "mean_ratio": bias}))
-        for view in chosen:
-            write_png(
-                options.out / f"{name.replace(' ', '-')}-{view}.png",
-                np.concatenate(
-                    [srgb_encode(np.clip(i, 0, 1)) for i in (found[view], ours[view], 0.5 + found[view] - ours[view])], 1
-                ),
-            )
-            write_rgb(options.out / f"{name.replace(' ', '-')}-{view}-linear.exr", found[view])
+    return {
+        name: by_mitsuba(relit.asset, file, relit.environment, camera, pose, options.samples)
+        for name, (camera, pose) in relit.views.items()
+    }
+
+
+def keep(name: str, row: dict[str, Any]) -> None:
+    """Put a row in the stored results, with what the asset was made with."""
+    rows = json.loads(RESULTS.read_text()) if RESULTS.is_file() else {}
+    rows[name] = {**row, "made": made_with(defaults())}
+    RESULTS.write_text(json.dumps(rows, indent=1) + "\n")
+
+
+def defaults() -> dict[str, Any]:
+    """Parameters that the stored rows depend on."""
+    return {"train": asdict(TrainParameters()), "mesh": asdict(MeshParameters()), "relight": asdict(RelightParameters())}
 
 
 def inner(gbuffer: Path) -> NDArray[np.bool_]:

@@ -19,7 +19,6 @@ import os
 import platform
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -31,6 +30,7 @@ os.environ.setdefault("NUMBA_NUM_THREADS", "1")
 import numpy as np
 import torch
 
+from benchmarks.light_training import timed, training_overhead
 from benchmarks.light_truth import CAPTURED, Pixels, Truth, errors, load
 from pipeline.optics.model_names import ANCHOR_PLACES, ANCHOR_WEIGHTS
 from pipeline.shading import LightField, Occlusion, Prefilter, latlong, shade
@@ -42,7 +42,7 @@ CAPTURES = ("teapot-lebombo", "spot-venice", "igea-forest", "bowl")
 SETTINGS = {"cube": 128, "transfer": 16, "lobe": "beckmann", "mirror": "tree"}
 MIRRORS = ("split", "lobe-12", "tree-coarse", "tree", "tree-fine")
 BOWL = {"views": 8, "spp": 400}
-TRAINED, STEPS, LOOKS = ("teapot-lebombo",), 40, 6  # steps and test views over which training is timed
+TRAINED = ("teapot-lebombo",)  # captures on which training is timed
 PLOTTED = (("s0, captured", "s0_mean_pct", False), ("s0, relit", "s0_mean_pct", True), ("body, relit", "diffuse_pct", True))
 Occluder = Callable[[Pixels], Occlusion | None]
 
@@ -141,13 +141,6 @@ def choices() -> dict[str, tuple[Callable[[Truth], Nothing], str]]:
     return out | {"traced, rays of every pixel": (lambda t: Traced(t, True), mirror)}
 
 
-def timed(call: Callable[[], Any]) -> tuple[Any, float]:
-    """What a call returns, and its processor seconds."""
-    start = time.process_time()
-    value = call()
-    return value, time.process_time() - start
-
-
 def tensor(a: Any) -> torch.Tensor:
     """float32, whole."""
     return torch.as_tensor(np.ascontiguousarray(a), dtype=torch.float32)
@@ -184,45 +177,6 @@ def measure(truth: Truth, make: Callable[[Truth], Nothing], mirror: str, lights:
             bodies.append(result.diffuse.numpy())
         out["lights"][name] = errors(truth.views, images, bodies, name)
     return out | {"map_s": float(np.median(map_s)), "ms_per_view": 1e3 * float(np.median(tie_s) + np.median(view_s))}
-
-
-def training_overhead(folder: Path, scratch: Path) -> dict[str, dict[str, float]]:
-    """Processor seconds of a step, of making indirect light anew and of a test view, by kind; shares of those without it.
-
-    Measured on the start surface, at the step before which the light is made anew for the first time.
-    """
-    from dataclasses import replace
-
-    from benchmarks.bench_train import sources_of
-    from stages.train.parameters import TrainParameters
-    from stages.train.setup import prepare_training
-    from stages.train.trainer import Trainer
-    from stages.train.views.view import prepare
-
-    torch.set_num_threads(1)
-    sources, _, up = sources_of(folder, scratch)
-    out: dict[str, dict[str, float]] = {}
-    for kind in ("none", "gridmap", "sh", "traced"):
-        parameters = replace(TrainParameters(), indirect=kind, concavities="off")
-        start = prepare_training(sources, "stokes", {}, up, parameters, "cpu")
-        trainer = Trainer(start.scene, start.pyramids, "stokes", start.frame, parameters, "cpu")
-        period = trainer.upkeep.period
-        trainer.scene.link_neighbours()
-        anew = timed(lambda t=trainer: t.renderer.trace(t.pyramids[0], 0))[1] if kind != "none" else 0.0
-        trainer.iteration = period + 1
-        steps = [timed(trainer.step)[1] for _ in range(STEPS + 2)][2:]
-        tests = [s for s in sources if s.split == "test"][:LOOKS]
-        views = [prepare(replace(s, mask=np.ones_like(s.mask)), trainer.frame, True) for s in tests]
-        with torch.no_grad():
-            looks = [timed(lambda v=v, t=trainer: t.renderer.render_whole(v))[1] for v in [views[0], *views]][1:]
-        step_s, test_view_s = (float(np.percentile(v, 10)) for v in (steps, looks))  # what else runs on the machine only adds
-        out[kind] = {"step_s": step_s, "anew_s": anew, "every": period, "test_view_s": test_view_s}
-        print("   ", kind, {k: round(v, 4) for k, v in out[kind].items()}, flush=True)
-    free = out["none"]
-    for row in out.values():
-        row["training_pct"] = 100 * ((row["step_s"] + row["anew_s"] / row["every"]) / free["step_s"] - 1)
-        row["inference_pct"] = 100 * (row["test_view_s"] / free["test_view_s"] - 1)
-    return out
 
 
 def plot(results: dict[str, Any], path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Shading: run time, and errors of the prefiltered levels against quadrature under a made sky.
+"""Shading: processor time, and errors of the prefiltered levels against quadrature under a made sky.
 
     python -m benchmarks.bench_shading [--json FILE]
 
@@ -14,23 +14,21 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
 
+from benchmarks.case_store import made_with, median_s
 from pipeline.optics import microfacet, sphere
 from pipeline.shading import Prefilter, latlong, shade, shading
 from pipeline.shading.cube import cube_directions
+from stages.train.parameters import TrainParameters
 
 
 def median_ms(call: Callable[[], object], repeats: int = 30) -> float:
-    """Median wall time of a call (ms), after two to warm up."""
-    times = []
-    for _ in range(repeats + 2):
-        start = time.perf_counter()
-        call()
-        times.append(time.perf_counter() - start)
-    return 1e3 * float(np.median(times[2:]))
+    """Median processor time of a call (ms), after one to warm up."""
+    return 1e3 * median_s(call, repeats)
 
 
 def tensor(a: np.ndarray) -> torch.Tensor:
@@ -61,9 +59,9 @@ def speed(points: int = 10_000) -> dict:
         leaf.requires_grad_()
     cotangent = torch.randn(points, 3, 3, generator=g)
     for resolution in (32, 64):
-        start = time.perf_counter()
+        start = time.process_time()
         prefilter = Prefilter(resolution)
-        out[f"prefilter {resolution} build_s"] = time.perf_counter() - start
+        out[f"prefilter {resolution} build_s"] = time.process_time() - start
         radiance = torch.rand(6, resolution, resolution, 3, generator=g, requires_grad=True)
         ones = torch.ones(prefilter.operator.size, 3)
         forward = median_ms(lambda p=prefilter, r=radiance: p.apply(r))
@@ -122,10 +120,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", type=Path, help="write the figures here")
     arguments = parser.parse_args()
-    result = {"speed": speed(), "prefilter against quadrature": prefilter_errors()}
+    result: dict[str, Any] = {"speed": speed(), "prefilter against quadrature": prefilter_errors()}
     for title, rows in result.items():
         show(title, rows)
     if arguments.json:
+        train = TrainParameters()
+        result["made"] = made_with({"mirror": train.mirror, "environment_resolution": train.environment_resolution})
+        arguments.json.parent.mkdir(parents=True, exist_ok=True)
         arguments.json.write_text(json.dumps(result, indent=1) + "\n")
 
 

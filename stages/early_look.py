@@ -122,7 +122,8 @@ def _runs(
         scratch.mkdir()
         inputs = {needed: folders[needed] for needed in step.stage.needs if needed in folders}
         jobs = os.cpu_count() or 1
-        yield name, task, StageRun(capture, parameters, inputs, output, scratch, progress=Progress(quiet=True), jobs=jobs)
+        quiet = Progress(quiet=True)
+        yield name, task, StageRun(capture, parameters, inputs, output, scratch, progress=quiet, jobs=jobs, partial=not whole)
 
 
 def _task(capture: Capture, step: Step, whole: bool) -> tuple[Task, Any] | None:

@@ -18,11 +18,11 @@ SUN = np.array([0.4, 0.8, 0.45]) / np.linalg.norm([0.4, 0.8, 0.45])
 ORDER = (90, 45, 135, 0)
 
 
-def ring(count: int, size: int = SIZE) -> list[Camera]:
-    """Cameras all around, alternately a little above and below, that look at the origin."""
+def ring(count: int, size: int = SIZE, rises: Sequence[float] = (-0.1, 0.35)) -> list[Camera]:
+    """Cameras all around, at these elevations (radians) in turn, that look at the origin."""
     cameras = []
     for i in range(count):
-        turn, rise = 2 * np.pi * i / count, 0.35 if i % 2 else -0.1
+        turn, rise = 2 * np.pi * i / count, rises[i % len(rises)]
         back = np.array([np.cos(turn) * np.cos(rise), np.sin(rise), np.sin(turn) * np.cos(rise)])
         right = np.cross([0, 1, 0], back)
         right /= np.linalg.norm(right)

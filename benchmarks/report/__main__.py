@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.report.scatter import scatter
-from benchmarks.report.sections import SECTIONS, Section
+from benchmarks.report.section import Section
+from benchmarks.report.sections import SECTIONS
 from benchmarks.stability.page import page as stability_page
 from benchmarks.stability.verdicts import Row
 
@@ -45,7 +46,7 @@ def files() -> dict[Path, str]:
     return {PAGE: "\n".join(lines), **{path: text for path, text in out.items() if text}}
 
 
-TOLD = ("approximations", "mesh", "train", "light")
+TOLD = ("approximations", "mesh", "train", "light", "ablation")
 """Results whose sections say themselves what they were made with."""
 
 
@@ -53,7 +54,8 @@ def how_made(name: str, stored: Any) -> str:
     """On what machine and when a result was made, as far as it was kept."""
     if name in TOLD:
         return ""
-    kept = [row.get("made") for row in stored] if isinstance(stored, list) else [stored.get("made")]
+    listed = stored if isinstance(stored, list) else list(stored.values()) if name == "assets" else [stored]
+    kept = [row.get("made") for row in listed]
     made = sorted({f"{m['machine']}, {m['commit']}, {m['date']}" for m in kept if m})
     said = [f"Made on {'; '.join(made)}."] if made else []
     return " ".join([*said, *(["What it was made with was not kept."] if None in kept else [])])

@@ -3,28 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from typing import Any
 
 from benchmarks.report.scatter import Point
-
-Rows = list[list[str]]
-"""A table: heads, then cells."""
-
-
-@dataclass(frozen=True)
-class Section:
-    """A part of the page; `plots`: (name, points, title of the time axis, title of the error axis)."""
-
-    title: str
-    text: str
-    rows: Rows
-    plots: list[tuple[str, list[Point], str, str]] = field(default_factory=list)
-
-
-def number(value: Any, digits: int = 3) -> str:
-    """A figure as text."""
-    return value if isinstance(value, str) else "" if value is None else f"{value:.{digits}g}"
+from benchmarks.report.section import Section, number
+from benchmarks.report.whole_runs import ablation, assets
 
 
 def decode(stored: dict[str, Any]) -> Section:
@@ -139,6 +122,21 @@ def train(stored: dict[str, Any]) -> Section:
     return Section("Training", text, rows, [("train", points, "seconds of training", "normals, mean error (degrees)")])
 
 
+def shading(stored: dict[str, Any]) -> Section:
+    """The fused kernels, and what the prefiltered levels are off."""
+    rows = [["what", "processor time, ms", "median error, %", "95th percentile, %"]]
+    for name, value in stored["speed"].items():
+        what, _, unit = name.rpartition("_")
+        rows.append([what, number(1e3 * value if unit == "s" else value), "", ""])
+    for name, value in stored["prefilter against quadrature"].items():
+        rows.append([name, "", number(value["median_pct"]), number(value["p95_pct"])])
+    text = (
+        "Prefiltering and shading, forward and backward, on all threads together; the levels against sums over the same cube "
+        "cut three times finer, under a made sky with a sun of half a degree."
+    )
+    return Section("Shading kernels", text, rows)
+
+
 GROUPS = ("Fresnel", "split sum", "mirrored light", "diffuse light", "occlusion")
 
 
@@ -203,6 +201,6 @@ def light(stored: dict[str, Any]) -> Section:
 
 SECTIONS: dict[str, Callable[[Any], Section]] = {
     "approximations": approximations, "decode": decode, "masks": masks, "poses": poses, "rasterize": rasterize, "olat": olat,
-    "train": train, "mesh": mesh, "light": light,
+    "shading": shading, "train": train, "mesh": mesh, "light": light, "ablation": ablation, "assets": assets,
 }  # fmt: skip
 """By the name of the stored result."""

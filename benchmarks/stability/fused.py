@@ -17,6 +17,7 @@ from synth.environments import ENVIRONMENTS
 
 VALUE = 5e-5
 """Off by at most this, of the point's largest Stokes component: float32 through sums of light that spans five decades."""
+TREE = 1e-2  # the same, where light is summed over a tree
 GRADIENT = 5e-3  # at the 99th percentile, of the largest gradient of the same argument
 COSINES = (1.0, 1 - 1e-6, 0.9999, 0.99, 0.8, 0.5, 0.2, 0.05, 0.01, 2e-3, 0.0, -0.3)
 ROUGHNESSES = (0.0, 0.05, 0.08, 0.2, 0.5, 0.9, 1.5)
@@ -90,17 +91,21 @@ def _shading(name: str, mirror: str) -> Row:
     slopes = [float(((a - b).abs() / b.abs().max().clamp_min(1e-30)).flatten().quantile(0.99)) for a, b in zip(fast_g, slow_g)]
     worst = int(off.argmax())
     c, r, eta = (x.ravel() for x in np.meshgrid(COSINES, ROUGHNESSES, IORS, indexing="ij"))
-    # The tree cuts light at thresholds, so that two precisions may sum over other leaves.
-    bar = 1e-2 if mirror == "tree" else VALUE
     return Row(
         part="kernels", name=f"shade, {mirror}", setting=name,
         figures={
             "value": float(off.max()), "gradient": max(slopes),
             "us": 1e6 * seconds / len(fast), "us_float64": 1e6 * slow_s / len(fast),
         },
-        sound=finite and float(off.max()) <= bar and max(slopes) <= GRADIENT,
+        sound=alike(float(off.max()), max(slopes), finite, mirror),
         worst=f"n.v {c[worst]:g}, r {r[worst]:g}, eta {eta[worst]:g}", why="" if finite else "values that are not finite",
     )  # fmt: skip
+
+
+def alike(off: float, slope: float, finite: bool, mirror: str) -> bool:
+    """Whether a kernel's shading is its definition's: largest error of the values, and of the gradients."""
+    # The tree cuts light at thresholds, so that two precisions may sum over other leaves.
+    return finite and off <= (TREE if mirror == "tree" else VALUE) and slope <= GRADIENT
 
 
 def _hostile_points() -> Row:

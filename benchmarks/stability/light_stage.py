@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -140,29 +140,43 @@ def _row(setting: Setting, seed: int) -> Row:
         "sigma": np.abs(sigma / made.sigma - 1).max(1),
         "rho_s": np.abs(rows[:, AT["specular_albedo"]][:, 0] / made.specular - 1),
     }  # fmt: skip
-    wrong = good & (np.maximum(off["n_d"], off["n_s"]) > WRONG_DEG)
-    wrong |= good & (np.maximum(off["sigma"], off["rho_s"]) > WRONG_SHARE)
-    most = float(rows[good, AT["specular_albedo"]].max()) if good.any() else 0.0
-    bent = int(np.sum(rows[good, AT["anisotropy"]] > ANISOTROPIC))
+    wrong = good & is_wrong(off)
+    found_anisotropic = good & (rows[:, AT["anisotropy"]] > ANISOTROPIC)
     is_round = "sigma" in setting.options and setting.options["sigma"][0] == setting.options["sigma"][1]
-    share = float(wrong.sum() / max(good.sum(), 1))
-    faults = [
-        f"{100 * share:.1f} % of those flagged good are wrong" if wrong.sum() > max(MOST_WRONG * good.sum(), 1) else "",
-        f"a specular albedo of {most:.1e} is flagged good" if most > RHO_SPACE else "",
-        f"{bent} round lobes are called anisotropic" if is_round and bent > max(MOST_WRONG * good.sum(), 1) else "",
-        "values that are not finite" if not np.isfinite(rows).all() else "",
-    ]
+    faulty = faults(good, wrong, rows[:, AT["specular_albedo"]], found_anisotropic & is_round, bool(np.isfinite(rows).all()))
     flags = np.bincount(rows[:, FLAG].astype(int), minlength=len(FLAGS))
     return Row(
         part="light stage", name=setting.name, setting=setting.rig,
         figures={
-            "good": float(good.mean()), "wrong": share, "n_d": _median(off["n_d"], good), "n_s": _median(off["n_s"], good),
+            "good": float(good.mean()), "wrong": float(wrong.sum() / max(good.sum(), 1)),
+            "n_d": _median(off["n_d"], good), "n_s": _median(off["n_s"], good),
             "sigma": _median(off["sigma"], good), "rho_s": _median(off["rho_s"], good),
             "ms": 1e3 * seconds / PIXELS / len(CANDIDATES),
         },
-        sound=not any(faults), why="; ".join(f for f in faults if f),
+        sound=not faulty, why="; ".join(faulty),
         worst=", ".join(f"{name} {n}" for name, n in zip(FLAGS, flags) if n and name != "good"),
     )  # fmt: skip
+
+
+def is_wrong(off: Mapping[str, NDArray[np.float64]]) -> NDArray[np.bool_]:
+    """Which pixels are too far off, by the errors of their normals (degrees), widths and specular albedo (relative) [N]."""
+    return (np.maximum(off["n_d"], off["n_s"]) > WRONG_DEG) | (np.maximum(off["sigma"], off["rho_s"]) > WRONG_SHARE)
+
+
+def faults(
+    good: NDArray[np.bool_], wrong: NDArray[np.bool_], albedo: NDArray[np.float64], bent: NDArray[np.bool_], finite: bool
+) -> list[str]:
+    """What is wrong with a setting: `wrong` and `bent` (a round lobe called anisotropic) of the `good` pixels [N], their
+    specular albedo [N, 3], and whether every value is finite. One pixel is forgiven however few are good."""
+    forgiven = max(MOST_WRONG * good.sum(), 1)
+    most = float(albedo[good].max()) if good.any() else 0.0
+    said = {
+        f"{100 * wrong.sum() / max(good.sum(), 1):.1f} % of those flagged good are wrong": wrong.sum() > forgiven,
+        f"a specular albedo of {most:.1e} is flagged good": most > RHO_SPACE,
+        f"{bent.sum()} round lobes are called anisotropic": bent.sum() > forgiven,
+        "values that are not finite": not finite,
+    }
+    return [fault for fault, there in said.items() if there]
 
 
 def _or_up(normals: NDArray[np.float64]) -> NDArray[np.float64]:

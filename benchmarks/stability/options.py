@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from importlib.util import find_spec
 from pathlib import Path
@@ -44,6 +45,8 @@ def settings() -> list[dict[str, str]]:
 
 def rows(capture: Path, dataset: Path) -> Iterator[Row]:
     """A row for each setting, two at a time; `capture` is a light stage, `dataset` names where runs go."""
+    for lane in dataset.parent.glob(f"{dataset.name}*"):
+        shutil.rmtree(lane)  # what an earlier commit made is not judged
     first, *others = settings()
     row, standard = _row(capture, dataset, first, None)
     yield row
@@ -71,17 +74,25 @@ def _row(
     bad = [p.name for p in sorted(output.rglob("*.exr")) if not all(np.isfinite(c).all() for c in read_exr(p).values())]
     mean, peak = relit(capture, output)
     wanted = options.get("lobe", "ward" if options.get("solver", "closed") != "closed" else lobe)
-    mean_of, peak_of = standard or (mean, peak)
-    faults = [
-        f"{', '.join(bad[:3])} not finite" if bad else "",
-        "relit black" if not mean > 0 else f"relit at {mean / mean_of:.2f} of the default" if mean < DIM * mean_of else "",
-        f"a relit peak {peak / peak_of:.0f} times the default's" if peak > BRIGHTER * peak_of else "",
-        f"maps.json says {lobe}" if lobe != wanted else "",
-    ]
+    faulty = faults(bad, (mean, peak), standard or (mean, peak), lobe, wanted)
     seconds = float(json.loads((output / "manifest.json").read_text())["cpu_s"])
     figures: dict[str, float | int | str] = {"lobe": lobe, "relit_mean": mean, "relit_peak": peak, "cpu_s": seconds}
-    why = "; ".join(f for f in faults if f)
+    why = "; ".join(faulty)
     return Row("options", "olat", name, figures, not why, why=why), (mean, peak)
+
+
+def faults(bad: Sequence[str], found: tuple[float, float], standard: tuple[float, float], lobe: str, wanted: str) -> list[str]:
+    """What is wrong with a setting: files that are not finite, mean and peak of its relit radiance beside the default's, and
+    the lobe that `maps.json` names beside the one that was to be fitted."""
+    (mean, peak), (mean_of, peak_of) = found, (max(x, 1e-30) for x in standard)
+    said = {
+        f"{', '.join(bad[:3])} not finite": bool(bad),
+        "relit black": not mean > 0,
+        f"relit at {mean / mean_of:.2f} of the default": 0 < mean < DIM * mean_of,
+        f"a relit peak {peak / peak_of:.0f} times the default's": peak > BRIGHTER * peak_of,
+        f"maps.json says {lobe}": lobe != wanted,
+    }
+    return [fault for fault, there in said.items() if there]
 
 
 def relit(capture: Path, output: Path) -> tuple[float, float]:

@@ -65,13 +65,31 @@ def _table(rows: Sequence[Row]) -> list[str]:
     return lines
 
 
+def _run_at(rows: Sequence[Row]) -> str:
+    """Of which commit the program was that the rows tried."""
+    commits: dict[str, int] = {}
+    for row in rows:
+        commits[row.commit] = commits.get(row.commit, 0) + 1
+    if len(commits) == 1:
+        return f"Commit {next(iter(commits))}."
+    return f"Commits {', '.join(f'{commit} ({count} of {len(rows)})' for commit, count in commits.items())}."
+
+
+def _time(cpu_s: Mapping[str, float]) -> str:
+    """What the parts took, where all were run to their end in one go."""
+    if set(cpu_s) != set(TITLES):
+        return ""
+    parts = ", ".join(f"{TITLES[part][0].lower()} {cpu_s[part]:.0f}" for part in TITLES)
+    return f" All of it takes {sum(cpu_s.values()) / 60:.0f} minutes of one core ({parts} seconds)."
+
+
 def page(rows: Sequence[Row], stamp: Mapping[str, Any]) -> str:
-    """The page as Markdown; stamp: the commit, the machine, the date, and which parts were `finished`."""
+    """The page as Markdown; stamp: the machine, the date, which parts were `finished`, and their `cpu_s`."""
     failed = [row for row in rows if not row.sound]
     lines = [
         "# Stability: stiff and extreme cases", "",
         f"Written by `make stability`, which exits with 1 on a failure: {len(rows)} cases, **{len(failed)} fail**. "
-        f"{stamp['machine']}; commit {stamp['commit']}; {stamp['date']}.", "",
+        f"{stamp['machine']}; {stamp['date']}.{_time(stamp.get('cpu_s', {}))}", "",
     ]  # fmt: skip
     open_parts = [title for part, (title, _) in TITLES.items() if part not in stamp.get("finished", {})]
     if open_parts:
@@ -82,7 +100,7 @@ def page(rows: Sequence[Row], stamp: Mapping[str, Any]) -> str:
     for part, (title, text) in TITLES.items():
         own = [row for row in rows if row.part == part]
         if own:
-            lines += [f"## {title}", "", text, "", *_table(own), ""]
+            lines += [f"## {title}", "", f"{text} {_run_at(own)}", "", *_table(own), ""]
     told = [(row.name, line) for row in rows for line in row.warnings]
     if told:
         lines += ["### What the whole runs warned of", "", *(f"- {name}: {line}" for name, line in told), ""]

@@ -33,13 +33,18 @@ def rows(captures: Path, datasets: Path) -> Iterator[Row]:
             found, seconds = _digests(
                 captures / capture, datasets / f"{capture}-{name.replace(' ', '-')}", until, environment, jobs
             )
-            other = sorted(k for k in {*first, *found} if first.get(k) != found.get(k))
-            bad = [k for k in other if name not in CLOSE or k.split("/")[0] in EXACT]
+            other, bad = differing(first, found, name)
             yield Row(
                 part="repeats", name=f"{capture} to {until}", setting=name,
                 figures={"files": len(first), "different": len(other), "cpu_s": seconds}, sound=bool(first) and not bad,
                 why=", ".join(bad[:3]), worst=", ".join(other[:2]),
             )  # fmt: skip
+
+
+def differing(first: Mapping[str, str], found: Mapping[str, str], name: str) -> tuple[list[str], list[str]]:
+    """Files (STAGE/...) whose digests differ from the first run's, or that one run has alone, and those that must not."""
+    other = sorted(k for k in {*first, *found} if first.get(k) != found.get(k))
+    return other, [k for k in other if name not in CLOSE or k.split("/")[0] in EXACT]
 
 
 def _digests(

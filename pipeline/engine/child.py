@@ -24,9 +24,10 @@ def stage_command(call: Call, name: str, jobs: int | None = None) -> list[str]:
 
 
 def stage_environment() -> dict[str, str]:
-    """The environment of a stage's process: this program is found first."""
+    """The environment of a stage's process: this program is found first, and threads sleep while they wait unless the user has
+    said otherwise: those that spin take the cores from each other as soon as anything else runs."""
     path = os.pathsep.join(filter(None, [str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH", "")]))
-    return {**os.environ, "PYTHONPATH": path}
+    return {"OMP_WAIT_POLICY": "PASSIVE", **os.environ, "PYTHONPATH": path}
 
 
 def run_stage(call: Call, name: str) -> int:

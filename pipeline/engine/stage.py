@@ -120,6 +120,7 @@ class StageRun:
         warnings: said so far (`warn`).
         facts: kept so far (`note`).
         left_out: what the plan leaves out, by STAGE or STAGE.PASS: {"saved_s", "saved_mb", "reason"} each.
+        partial: only some of the capture's views or lights are there (a look before a run): nothing that takes all can be told.
     """
 
     capture: Capture
@@ -134,6 +135,7 @@ class StageRun:
     warnings: list[str] = field(default_factory=list)
     facts: dict[str, Any] = field(default_factory=dict)
     left_out: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    partial: bool = False
 
     def warn(self, text: str) -> None:
         """Tell the user of something that does not stop the work; kept in the manifest."""

@@ -175,15 +175,17 @@ class GridMap:
         roughness: NDArray,  # [P]
         local: LocalLight,
         blocked: NDArray[np.bool_] | None = None,  # [P]
+        weight: NDArray[np.float32] | None = None,  # [P, A]
     ) -> Occlusion:
         """What `shade` needs: diffuse light from the anchors everywhere, mirrored light where the mirror ray hits.
 
-        blocked: whether it does, where the caller has found out; else a ray is cast from each point.
+        blocked: whether it does, where the caller has found out; else a ray is cast from each point. weight: `blend` of the
+        points, where the caller has it.
         """
         mirror = 2 * np.einsum("pk,pk->p", normals, view)[:, None] * normals - view
         if blocked is None:
             blocked = self.occluder.blocked(points + self.occluder.lift * normals, mirror)
-        weight = self.blend(points)
+        weight = self.blend(points) if weight is None else weight
         diffuse = torch.as_tensor(self.received(weight, normals, local))
         seen = torch.as_tensor(self.mirrored(weight, mirror, roughness, np.flatnonzero(blocked), local))
         free = torch.as_tensor((~blocked).astype(np.float32))

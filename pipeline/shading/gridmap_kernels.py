@@ -15,11 +15,14 @@ from .cube_kernels import MATH, texels
 _ONE, _ZERO = np.float32(1), np.float32(0)
 
 
-@kernel(parallel=True, fastmath=MATH, error_model="numpy")
+@kernel(fastmath=MATH, error_model="numpy")
 def blend_weights(points, anchors, printed, floor, out):
-    """Weights [P, A] of anchors [3, A] at points [P, 3], summing to 1: distance if `printed`, else 1 / (distance^2 + floor)."""
+    """Weights [P, A] of anchors [3, A] at points [P, 3], summing to 1: distance if `printed`, else 1 / (distance^2 + floor).
+
+    On one thread: numba does not vectorise the inner loops of a parallel one, which took 45 times as long.
+    """
     count = anchors.shape[1]
-    for p in prange(len(points)):
+    for p in range(len(points)):
         px, py, pz = points[p, 0], points[p, 1], points[p, 2]
         total = _ZERO
         if printed:

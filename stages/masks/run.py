@@ -103,16 +103,24 @@ def refuse_two_worlds(stage: StageRun, masks: dict[str, NDArray[np.uint8]]) -> N
 
 
 def say_if_one_sided(stage: StageRun) -> None:
-    """A line where the cameras do not go around the object."""
+    """A line where the cameras do not go around the object, or leave a side of it unseen."""
     from stages.masks.doubts import one_sided
     from stages.masks.inputs import cameras_of
+    from stages.masks.unseen_side import unseen_side
 
     cameras = cameras_of(stage)
     fault = one_sided([cameras[view] for view in sorted(cameras)])
+    unseen = unseen_side(cameras) if fault is None and not stage.partial else None
     if fault is not None:
         stage.warn(
             f"{stage.capture.root}: {fault}: outlines bound no depth and the far side is not seen, so the shape is a guess "
             "there; check that no views of that side are missing"
+        )
+    if unseen is not None:
+        stage.note("unseen_side", unseen.as_json())
+        stage.warn(
+            f"{stage.capture.root}: {unseen.said(stage.capture.up)}: no outline bounds the shape and no picture shows the "
+            "material; check that no views are missing, or take some of that side too"
         )
 
 

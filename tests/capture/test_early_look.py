@@ -1,6 +1,7 @@
 """`plan` and `inspect` say what a run would of pixels, cameras, masks, and of a light stage's frames against its table."""
 
 import json
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -87,16 +88,34 @@ def test_what_a_finished_stage_has_said_is_not_said_twice(tmp_path, scene, write
     assert sum("not finite" in line for line in polarfield("plan", tmp_path / "capture").warnings) <= 1
 
 
-def test_of_a_large_capture_a_few_views_are_read(tmp_path):
-    root, cameras = tmp_path, ball.ring(12)
+def around_a_ball(root, cameras):
     names = [f"images/{k:02d}.exr" for k in range(len(cameras))]
     for name, camera in zip(names, cameras):
-        _, stokes, _ = ball.picture(camera)
+        _, stokes, mask = ball.picture(camera)
         pixels = {c: stokes[..., i // 3, i % 3].astype(np.float32) for i, c in enumerate(STOKES)}
         write_exr(root / name, pixels, half=False)
+        write_png(root / "masks" / Path(name).with_suffix(".png").name, np.where(mask, 255, 0).astype(np.uint8))
     (root / "transforms.json").write_text(json.dumps(ball.transforms(cameras, names)))
+    return root
+
+
+def test_a_side_that_no_view_sees_is_told_before_the_run_and_not_by_a_part_of_the_views(tmp_path, polarfield, monkeypatch):
+    root = around_a_ball(tmp_path / "above", ball.ring(12, rises=(0.9,)))
+    told = polarfield("plan", root).warnings
+    assert len(told) == 1 and "above: the underside of the object is seen by no view" in told[0] and "check that" in told[0]
+    looked_at = {0, 2, 3, 5, 6, 8, 9, 11}  # eight of twelve, evenly
+    rises = [0.9 if k in looked_at else -0.1 for k in range(12)]
+    root = around_a_ball(tmp_path / "all-around", ball.ring(12, rises=rises))
+    assert polarfield("plan", root).warnings == []
+    whole = early_look.part_of
+    monkeypatch.setattr(early_look, "part_of", lambda capture, pixels: whole(capture, 0))
+    assert polarfield("plan", root).warnings == []
+
+
+def test_of_a_large_capture_a_few_views_are_read(tmp_path):
     from pipeline.capture import open_capture
 
+    root = around_a_ball(tmp_path, ball.ring(12))
     part, whole = early_look.part_of(open_capture(root), 0)
     assert not whole and len(part.views) == len(part.cameras) == 8 and part.views[0].view == "00"
     part, whole = early_look.part_of(open_capture(root), 1e9)

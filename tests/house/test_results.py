@@ -36,6 +36,7 @@ def stored(name: str) -> dict[str, Any]:
 
 
 TRAIN, LIGHT, ABLATION = (stored(name) for name in ("train", "light", "ablation"))
+TRAIN_NOW = TrainParameters()
 ROWS = [(capture, row) for capture, rows in ABLATION["captures"].items() for row in rows]
 
 
@@ -96,12 +97,15 @@ def test_stored_meshes_were_made_with_today_s_defaults_and_mark_them():
     [
         ("decode", DecodeParameters()), ("masks", MasksParameters()), ("poses", PosesParameters()), ("olat", OlatParameters()),
         ("rasterize", {"screen_filter": SCREEN_FILTER, "layer": LAYER}),
+        ("shading", {"mirror": TRAIN_NOW.mirror, "environment_resolution": TRAIN_NOW.environment_resolution}),
+        ("assets", {"train": asdict(TRAIN_NOW), "mesh": asdict(MeshParameters()), "relight": asdict(RelightParameters())}),
     ],
 )  # fmt: skip
 def test_what_a_stored_result_says_it_was_made_with_is_today_s(name, now):
     """Results from before that was kept say so on their page."""
     found = stored(name)
-    made = [row.get("made") for row in found] if isinstance(found, list) else [found.get("made")]
+    listed = found if isinstance(found, list) else list(found.values()) if name == "assets" else [found]
+    made = [row.get("made") for row in listed]
     table = json.loads(json.dumps(now if isinstance(now, dict) else asdict(now)))
     assert all(m["defaults"] == table for m in made if m), f"run `make bench-{name}`"
 

@@ -10,6 +10,8 @@ from pipeline.formats.images import write_png
 from pipeline.geometry.cameras import Camera
 from stages.masks.contour_check import contour_evidence
 from stages.masks.doubts import one_sided, segmentation_faults
+from stages.masks.unseen_side import furthest_from, unseen_side
+from synth.orbit import fibonacci_sphere
 
 from .conftest import look_at
 
@@ -117,6 +119,28 @@ def test_cameras_on_one_side_are_reported_and_rings_are_not(views):
            for k in range(9)]  # fmt: skip
     fault = one_sided(row)
     assert fault is not None and "parallel" in fault
+
+
+def test_a_side_that_no_camera_faces_is_named_and_an_ordinary_orbit_is_not_doubted():
+    low, high = np.radians([47, 70])
+    above = {f"{k:03d}": c for k, c in enumerate(facing(np.linspace(0, 6, 6), low) + facing(np.linspace(0.5, 6.5, 6), high))}
+    found = unseen_side(above)
+    assert found is not None and found.towards @ (0, -1, 0) > 0.99 and abs(found.away_deg - 137) < 3 and found.nearest in above
+    assert found.said("y").startswith("the underside of the object") and found.said("-y").startswith("the upper side")
+    assert found.said("z").startswith("one side")
+    for elevation in (-0.3, 0.0, 0.3, 0.55):  # radians: up to a ring 31 degrees above a turntable
+        assert unseen_side(dict(zip(above, facing(np.linspace(0, 6, 12), elevation)))) is None
+    assert unseen_side(dict(list(above.items())[:7])) is None  # too few to promise anything
+
+
+def test_the_direction_furthest_from_others_is_that_of_a_dense_search():
+    rng, sphere = np.random.default_rng(0), fibonacci_sphere(20_000)
+    for _ in range(20):
+        directions = rng.normal(size=(9, 3))
+        directions[:, 2] += rng.uniform(0, 3)
+        directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+        found, least = furthest_from(directions), (sphere @ directions.T).max(1).min()
+        assert least > -0.02 if found is None else abs((directions @ found).max() - least) < 0.02
 
 
 def test_bad_pixels_do_not_overflow_the_outline_check(views):

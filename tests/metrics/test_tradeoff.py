@@ -36,6 +36,11 @@ def test_steps_are_whole_and_relative_to_the_run_s_own():
     ]  # fmt: skip
 
 
+def test_what_saves_time_is_tried_before_what_takes_more():
+    tried = trials({"train": {"iterations": 900, "max_splats": 34000}, "mesh": {"voxel_px": 1.2}, "relight": {"cube": 128}})
+    assert [t.cost > 1 for t in tried] == sorted(t.cost > 1 for t in tried) and len({t.stage for t in tried if t.cost < 1}) == 3
+
+
 def test_errors_of_decibels_fall_as_they_rise_and_only_shared_figures_count():
     base = errors({"train": {"psnr_srgb": 30.0, "normal_mae_deg": 4.0}})
     run = measured(Result("a", {"train": {"psnr_srgb": 36.0}}, {"train": {"wall_s": 3.0}}), {}, base, {})
@@ -62,6 +67,11 @@ def test_changes_multiply_in_the_time_of_their_stage_and_in_the_error():
     assert error == pytest.approx(1.3 * 1.1 * 1.05)
 
 
+def test_what_a_trial_took_longer_in_other_stages_is_the_machine_s():
+    busy = Measured({"train.iterations": 500}, {"decode": 2.0, "train": 30.0, "mesh": 36.0}, 1.3)
+    assert predicted(BASE, [busy])[0] == pytest.approx(50) and predicted(BASE, [LONG])[0] == pytest.approx(145)
+
+
 def test_half_the_time_takes_the_combination_that_costs_least_error():
     assert best_within(BASE, SINGLES, 50.0) == {"train.iterations": 500}
     assert best_within(BASE, SINGLES, 45.0) == {"train.iterations": 500, "mesh.voxel_px": 2.0}
@@ -77,11 +87,15 @@ def test_the_plot_has_a_point_for_every_run_with_its_parameters():
     assert svg.count("<circle") == 5 and "train.mirror: " in svg
 
 
+result_extra: dict[str, float] = {}
+"""Seconds that no parameter shortens, by stage."""
+
+
 def made_up(changed):
     """A run whose time and errors follow its steps, splats and voxels."""
     steps, splats = changed.get("train.iterations", 1500), changed.get("train.max_splats", 34000)
     voxel, split = changed.get("mesh.voxel_px", 1.2), changed.get("train.mirror") == "split"
-    train = 10 + 0.06 * steps * (splats / 34000) ** 0.6 * (0.6 if split else 1.0)
+    train = 10 + result_extra.get("train", 0.0) + 0.06 * steps * (splats / 34000) ** 0.6 * (0.6 if split else 1.0)
     taken = {"decode": 2.0, "train": train, "mesh": 12 * (1.2 / voxel) ** 2}
     parameters = {
         "train": {"iterations": steps, "max_splats": splats, "mirror": "lobe-12", "indirect": "traced"},
@@ -95,6 +109,38 @@ def made_up(changed):
     rough = 2.0 * (1500 / steps) ** 0.3 * (34000 / splats) ** 0.1 * (1.05 if split else 1.0)
     metrics = {"train": {"normal_mae_deg": rough}, "mesh": {"chamfer_pct": 0.3 * (voxel / 1.2) ** 0.2}}
     return Result("views", metrics, manifests), sum(taken.values())
+
+
+def test_time_is_kept_for_combinations_where_the_budget_ends_before_the_list(tmp_path, monkeypatch):
+    """A third of the steps alone takes 0.6 of the run here: half the time needs two changes together."""
+
+    def make(self, changed):
+        result, seconds = made_up(changed)
+        self.spent += 1.6 * seconds  # a machine that became busy
+        return result
+
+    monkeypatch.setattr(Tradeoff, "make", make)
+    monkeypatch.setitem(result_extra, "train", 30.0)
+    page = run_tradeoff(tmp_path / "views", tmp_path / "datasets" / "views", "", "", lambda line: None)
+    table = json.loads(page.with_name("tradeoff.json").read_text())
+    own = sum(table["base"]["seconds"].values())
+    assert any(len(run["changed"]) > 1 and sum(run["seconds"].values()) <= 0.5 * own for run in table["runs"])
+    assert table["lines"][FAST] is not None and 1.6 * sum(sum(run["seconds"].values()) for run in table["runs"]) <= 10 * own
+
+
+def test_what_a_busier_machine_adds_to_a_trial_is_not_spent(tmp_path, monkeypatch):
+    def make(self, changed):
+        slow = 3.0 if changed else 1.0
+        taken = {"decode": (2.0, 1.0, "a"), "train": (slow * 40.0, 40.0, f"b{changed}")}
+        manifests = {s: {"wall_s": w, "cpu_s": c, "compile_s": 0.0, "key": k} for s, (w, c, k) in taken.items()}
+        self.spent += slow * 40.0 + 3.0
+        return Result("views", {"train": {"normal_mae_deg": 2.0}}, manifests)
+
+    monkeypatch.setattr(Tradeoff, "make", make)
+    work = Tradeoff(tmp_path, tmp_path, "", "", lambda line: None)
+    first = work.make({})
+    work.base, work.spent, work.made = measured(first, {}, errors(first.metrics), {}), 0.0, {"a", "b{}"}
+    assert work.try_out({"train.mirror": "split"}).total == pytest.approx(42) and work.spent == pytest.approx(41)
 
 
 def test_a_multi_view_capture_gets_both_lines_within_ten_times_its_own_time(tmp_path, monkeypatch, capsys):

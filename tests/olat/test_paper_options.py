@@ -15,21 +15,21 @@ from synth.olat_pixels import make, unit
 AT = map_slices()
 
 
-def test_algorithm_1_says_how_much_light_it_took_away(run):
+def test_algorithm_1_says_how_much_light_it_took_away(run_halves):
     p = make(60, sigma=(0.12, 0.12), seed=4)
     p.parallel[p.parallel > 1.0] *= 3.0  # spikes
-    kept = run(p, saturation=1.0, remove=True)[:, AT["removed"]]
+    kept = run_halves(p, saturation=1.0, remove=True)[:, AT["removed"]]
     lit = (p.parallel >= 1.0).any((0, 2))
     assert np.all(kept[~lit] == 0) and np.all(kept[:, 0] == 0) and 0.05 < kept[lit, 1].max() < 1
-    assert np.all(run(p, saturation=1.0, remove=True, gap=0.99)[:, AT["removed"]] == 0)  # no gap is that wide
-    again = run(p, saturation=1.0, remove=True, removals=4)[:, AT["removed"]]
+    assert np.all(run_halves(p, saturation=1.0, remove=True, gap=0.99)[:, AT["removed"]] == 0)  # no gap is that wide
+    again = run_halves(p, saturation=1.0, remove=True, removals=4)[:, AT["removed"]]
     assert np.all(again >= kept - 1e-6) and again.sum() > kept.sum()
-    assert np.all(run(p)[:, AT["removed"]] == 0)
+    assert np.all(run_halves(p)[:, AT["removed"]] == 0)
 
 
-def test_ma_et_al_leave_a_lobe_that_can_be_rendered(run):
+def test_ma_et_al_leave_a_lobe_that_can_be_rendered(run_halves):
     p = make(100, sigma=(0.3, 0.3), seed=9)
-    rows = run(p, gradient=True)
+    rows = run_halves(p, gradient=True)
     assert np.median(np.abs(rows[:, AT["sigma"]] / 0.3 - 1)) < 0.2
     assert np.median(np.abs(rows[:, AT["specular_albedo"]][:, 0] / p.specular - 1)) < 0.3
     assert np.allclose(rows[:, AT["roughness"]][:, 0] ** 2, rows[:, AT["sigma"]][:, 0])

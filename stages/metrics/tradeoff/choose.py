@@ -20,11 +20,18 @@ def pareto(runs: Sequence[Measured]) -> list[Measured]:
 
 
 def predicted(base: Measured, changes: Sequence[Measured]) -> tuple[float, float]:
-    """(seconds, error) of several single changes together: each acts on its stages' time and on the error by its own factor."""
-    seconds = 0.0
-    for stage, own in base.seconds.items():
-        seconds += own * prod(change.seconds.get(stage, own) / own for change in changes if own > 0)
+    """(seconds, error) of several single changes together: each acts on its stages' time and on the error by its own factor.
+
+    What a trial took longer in other stages than its own is what else the machine did meanwhile.
+    """
+    seconds = sum(own * prod(_factor(change, stage, own) for change in changes) for stage, own in base.seconds.items())
     return seconds, base.error * prod(change.error / base.error for change in changes)
+
+
+def _factor(change: Measured, stage: str, own: float) -> float:
+    """How many times as long a stage of `own` seconds takes with one parameter changed."""
+    factor = change.seconds.get(stage, own) / own if own > 0 else 1.0
+    return factor if any(name.startswith(f"{stage}.") for name in change.changed) else min(1.0, factor)
 
 
 def best_within(base: Measured, singles: Sequence[Measured], seconds: float) -> dict[str, Any] | None:

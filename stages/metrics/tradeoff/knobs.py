@@ -30,7 +30,7 @@ class Trial:
         return f"{self.parameter}={value}"
 
 
-# Dearest questions first: steps and splats own the time of a training, and the budget may end before the list does.
+# Of a stage, the parameters that own its time first.
 FACTORS = (
     ("train.iterations", ((1 / 3, 0.4), (2 / 3, 0.7), (1.6, 1.6))),
     ("train.max_splats", ((0.5, 0.75), (1.6, 1.3))),
@@ -52,7 +52,15 @@ CUBES = (16, 512)
 
 
 def trials(parameters: Parameters, left_out: Iterable[str] = ()) -> list[Trial]:
-    """What to try for a run with these parameters; `left_out`: passes that the run decided against, as "train.indirect"."""
+    """What to try for a run with these parameters, what saves time first: the budget may end before the list does.
+
+    Args:
+        parameters: of the run.
+        left_out: passes that it decided against, as "train.indirect".
+
+    Returns:
+        The trials, in order.
+    """
     out = []
     for name, factors in FACTORS:
         now = _of(parameters, name)
@@ -67,7 +75,7 @@ def trials(parameters: Parameters, left_out: Iterable[str] = ()) -> list[Trial]:
         if now is not None and name not in set(left_out):
             out += [Trial(name, value, cost) for value, cost in values if value != now]
     order = ("train", "olat", "mesh", "relight")
-    return sorted(out, key=lambda trial: order.index(trial.stage))
+    return sorted(out, key=lambda trial: (trial.cost > 1, order.index(trial.stage)))
 
 
 def _of(parameters: Parameters, name: str) -> Any:

@@ -58,13 +58,13 @@ def measured(result: Result, changed: Mapping[str, Any], base: Mapping[str, floa
     """
     own = errors(result.metrics)
     shared = [math.log(own[k] / base[k]) for k in base if k in own]
-    taken = {stage: _taken(manifest) for stage, manifest in result.manifests.items()}
-    own_pace = {stage: wall / cpu if cpu > 0 else 1.0 for stage, (wall, cpu) in taken.items()}
-    seconds = {stage: cpu * pace.get(stage, own_pace[stage]) if cpu > 0 else wall for stage, (wall, cpu) in taken.items()}
+    times = {stage: taken(manifest) for stage, manifest in result.manifests.items()}
+    own_pace = {stage: wall / cpu if cpu > 0 else 1.0 for stage, (wall, cpu) in times.items()}
+    seconds = {stage: cpu * pace.get(stage, own_pace[stage]) if cpu > 0 else wall for stage, (wall, cpu) in times.items()}
     return Measured(dict(changed), seconds, math.exp(sum(shared) / len(shared)) if shared else 1.0, own, own_pace)
 
 
-def _taken(manifest: Mapping[str, Any]) -> tuple[float, float]:
+def taken(manifest: Mapping[str, Any]) -> tuple[float, float]:
     """Wall and processor seconds of a stage without those of compiling, which is the work of one thread."""
     wall, cpu, compiled = (float(manifest.get(name) or 0.0) for name in ("wall_s", "cpu_s", "compile_s"))
     share = min(1.0, cpu / wall) if wall > 0 else 1.0

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import torch
 
@@ -74,27 +76,25 @@ class LocalEnvironments(Substitute):
     @torch.no_grad()
     def at(self, view: View, gbuffer: GBuffer, follows: bool = False) -> Occlusion:
         """Look the anchors up at a view's pixels."""
-        shown = gbuffer.alpha.cpu().numpy() > LEAST_ALPHA
-        points, normals, towards = surface_of(view, gbuffer)
-        surface = points[shown], normals[shown], towards[shown]
-        roughness = gbuffer.roughness.clamp(ROUGHNESS_FLOOR, 1).cpu().numpy()[shown]
-        found = self.grid.occlusion(*surface, roughness, self.light, mirror_blocked(self.scene, *surface))
-        rows = torch.as_tensor(np.flatnonzero(shown), device=view.view_direction.device)
+        rows, *surface = shown_surface(view, gbuffer)
+        roughness = gbuffer.roughness[rows].clamp(ROUGHNESS_FLOOR, 1).cpu().numpy()
+        weight = self.grid.blend(surface[0])
+        found = self.grid.occlusion(*surface, roughness, self.light, mirror_blocked(self.scene, *surface), weight)
 
         def everywhere(values: torch.Tensor) -> torch.Tensor:
-            out = torch.zeros(len(shown), *values.shape[1:], device=rows.device)
+            out = torch.zeros(len(gbuffer.alpha), *values.shape[1:], device=rows.device)
             return out.index_copy_(0, rows, values.to(rows.device))
 
-        light = (found.shadow, found.bounced, found.unblocked, found.seen)
-        shadow, bounced, unblocked, seen = (everywhere(x) for x in light)
+        bounced, unblocked, seen = (everywhere(x) for x in (found.bounced, found.unblocked, found.seen))
+        shadow = torch.zeros_like(bounced)  # all light comes from the anchors
         if not follows:
             return Occlusion(shadow, bounced, unblocked, seen)
-        slope = everywhere(torch.as_tensor(self._slope(*surface[:2], found.bounced.numpy())))
-        return LocalLight(shadow, bounced, unblocked, seen, torch.as_tensor(normals, device=rows.device), slope)
+        slope = everywhere(torch.as_tensor(self._slope(weight, surface[1], found.bounced.numpy())))
+        return LocalLight(shadow, bounced, unblocked, seen, everywhere(torch.as_tensor(surface[1])), slope)
 
-    def _slope(self, points: np.ndarray, normal: np.ndarray, here: np.ndarray) -> np.ndarray:
-        """Change [P, 3, 3] of the irradiance with the normal, across it."""
-        weight, slope = self.grid.blend(points), np.zeros((len(points), 3, 3), np.float32)
+    def _slope(self, weight: np.ndarray, normal: np.ndarray, here: np.ndarray) -> np.ndarray:
+        """Change [P, 3, 3] of the irradiance with the normal, across it; weight [P, A]: of the anchors."""
+        slope = np.zeros((len(normal), 3, 3), np.float32)
         helper = np.eye(3, dtype=np.float32)[np.abs(normal).argmin(-1)]
         first = np.cross(helper, normal)
         first /= np.maximum(np.linalg.norm(first, axis=-1, keepdims=True), 1e-12)
@@ -114,9 +114,9 @@ class LearntHarmonics(Substitute):
     @torch.no_grad()
     def at(self, view: View, gbuffer: GBuffer, follows: bool = False) -> Occlusion:
         """Which pixels mirror the object."""
-        blocked = gbuffer.alpha.cpu().numpy() > LEAST_ALPHA
-        blocked[blocked] = mirror_blocked(self.scene, *(v[blocked] for v in surface_of(view, gbuffer)))
-        unblocked = torch.as_tensor((~blocked).astype(np.float32), device=view.view_direction.device)
+        rows, *surface = shown_surface(view, gbuffer)
+        unblocked = torch.ones(len(gbuffer.alpha), device=rows.device)
+        unblocked[rows[torch.as_tensor(mirror_blocked(self.scene, *surface), device=rows.device)]] = 0
         ones, zeros = (torch.full((len(unblocked), 3), v, device=unblocked.device) for v in (1.0, 0.0))
         return LearntLight(ones, zeros, unblocked, zeros)
 
@@ -127,13 +127,14 @@ def substitute(scene: Scene, parameters: TrainParameters) -> Substitute | None:
     return kinds[parameters.indirect](scene, parameters) if parameters.indirect in kinds else None
 
 
-def surface_of(view: View, gbuffer: GBuffer) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Positions, normals and directions to the camera [P, 3] of a view's pixels."""
-    depth = gbuffer.raster.depth_expected.reshape(-1)[view.pixels] / gbuffer.alpha.clamp_min(LEAST_ALPHA)
-    normal = torch.where(gbuffer.alpha[:, None] > 0, gbuffer.normal, view.view_direction)
-    tensors = (view.points_at(depth.detach()), normal.detach(), view.view_direction)
+def shown_surface(view: View, gbuffer: GBuffer) -> tuple[torch.Tensor, np.ndarray, np.ndarray, np.ndarray]:
+    """Which of a view's pixels show the object [K], and their positions, normals and directions to the camera [K, 3]."""
+    rows = torch.nonzero(gbuffer.alpha.detach() > LEAST_ALPHA)[:, 0]
+    small = replace(view, view_direction=view.view_direction[rows])
+    depth = gbuffer.raster.depth_expected.detach().reshape(-1)[view.pixels[rows]] / gbuffer.alpha.detach()[rows]
+    tensors = (small.points_at(depth), gbuffer.normal.detach()[rows], small.view_direction)
     points, normals, towards = (t.cpu().numpy() for t in tensors)
-    return points, normals, towards
+    return rows, points, normals, towards
 
 
 def mirror_blocked(scene: Scene, points: np.ndarray, normals: np.ndarray, towards: np.ndarray) -> np.ndarray:
