@@ -8,6 +8,7 @@ from pathlib import Path
 
 FEW = 8  # names that fit a line beside a fault
 LONGEST = 400  # characters of a word that a person reads
+LONGEST_LINE = 1500  # of a whole line: two paths, what is wrong with them, and what to do
 
 
 class UserError(Exception):
@@ -41,9 +42,15 @@ def one_line(text: str) -> str:
         text: of any length.
 
     Returns:
-        The line; long words lose their middle.
+        The line; long words, and a long line, lose their middle; what would steer a terminal is written out (an escape as
+        \\x1b).
     """
-    return " ".join(w if len(w) <= LONGEST else f"{w[: LONGEST // 2]}...{w[-LONGEST // 2 :]}" for w in text.split())
+    text = "".join(c if c.isprintable() or c.isspace() else c.encode("unicode_escape").decode() for c in text)
+    return _shortened(" ".join(_shortened(word, LONGEST) for word in text.split()), LONGEST_LINE)
+
+
+def _shortened(text: str, most: int) -> str:
+    return text if len(text) <= most else f"{text[: most // 2]}...{text[-most // 2 :]}"
 
 
 def line_of(error: Exception) -> str:

@@ -107,10 +107,11 @@ def _packed(vertices: NDArray, faces: NDArray, texel: float, padding: int) -> At
     atlas.generate(xatlas.ChartOptions(), pack)
     width, height = (max(SMALLEST, n) for n in (atlas.width, atlas.height))
     source: list[NDArray[np.int64]] = []
-    uv, triangles = [], np.empty(faces.shape, np.int64)
+    uv: list[NDArray] = []
+    triangles = np.empty(faces.shape, np.int64)
     for k, number in enumerate(numbers):
         of, corners, at = atlas[k]
-        triangles[number] = corners.astype(np.int64) + sum(map(len, source))
+        triangles[number] = corners.astype(np.int64) + sum(len(part) for part in source)
         source.append(used[k][of])
         uv.append(at.astype(np.float64) * (atlas.width / width, atlas.height / height))
     return Atlas(np.concatenate(source), triangles, np.concatenate(uv), width, height)

@@ -11,7 +11,7 @@ import numpy as np
 from pipeline.errors import UserError
 from pipeline.formats.exr_frame import ExrFrame, exr_frame
 from pipeline.formats.image_output import oiio_library, reason_of, write_pixels
-from pipeline.formats.truncation import refuse_garbled_name, refuse_truncated
+from pipeline.formats.truncation import refuse_blank, refuse_garbled_name, refuse_truncated
 
 if TYPE_CHECKING:
     from pipeline.formats.image_parts import Page
@@ -74,6 +74,7 @@ def open_whole(path: Path, unassociated: bool = False) -> Any:
         refuse_truncated(path)
     if path.suffix.lower() in ARRAY_SUFFIXES:
         return open_array(path)
+    refuse_blank(path)
     how = oiio_library().ImageSpec()
     if unassociated:
         how.attribute("oiio:UnassociatedAlpha", 1)

@@ -16,12 +16,21 @@ OFFSETS_OF = {273: 279, 324: 325}
 DIRECTORIES = (330, 34665)
 SIZES = {3: 2, 4: 4, 13: 4}
 MOST_DIRECTORIES = 64
+BLANK = 64
+"""Bytes of zeros that no image format begins with: DICOM has 128, and then no picture that is read here."""
 
 
 def refuse_garbled_name(path: Path) -> None:
     """Raise UserError where a file's name is no text: libraries that want one refuse it with an exception of their own."""
     if any("\ud800" <= c <= "\udfff" for c in str(path)):
         raise UserError(path, "its name or its folder's is no text in UTF-8, which image libraries want", "rename it")
+
+
+def refuse_blank(path: Path) -> None:
+    """Raise UserError where a file begins with zeros, as no image does: a broken copy, which libraries read whole."""
+    with path.open("rb") as file:
+        if file.read(BLANK) == bytes(BLANK):
+            raise UserError(path, f"is no image: it begins with {BLANK} zeros", "copy it again from its source")
 
 
 def refuse_truncated(path: Path) -> None:

@@ -202,6 +202,18 @@ def vars_of(view):
     return view.normal, view.material, view.alpha
 
 
+def test_discs_that_do_not_quite_cover_and_a_lid_that_stands_out_move_no_outline(sphere_views):
+    views = sphere_views(1.0, size=96)
+    mesh = fuse(views)
+    pixel = measure(views).footprint
+    whole = outline_gap(mesh, views)
+    thin = [type(v)(v.camera, v.depth, v.normal, v.material, (0.9 * v.alpha).astype(np.float32)) for v in views]
+    assert outline_gap(mesh, thin) == pytest.approx(whole, abs=0.05 * pixel)  # by area it would be 1.2 px
+    far = mesh.vertices[:, 1] < -0.8 * np.abs(mesh.vertices[:, 1]).max()
+    bulge = Mesh(np.where(far[:, None], mesh.vertices * 1.15, mesh.vertices), mesh.faces)
+    assert outline_gap(bulge, views) == pytest.approx(whole, abs=0.1 * pixel)
+
+
 def test_outline_length_of_a_disc():
     y, x = np.mgrid[:200, :200]
     disc = np.hypot(x - 100, y - 100) < 70

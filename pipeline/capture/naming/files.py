@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 
 from pipeline.capture.config import CaptureConfig
@@ -50,7 +50,7 @@ def list_images(folder: Path, suffixes: Iterable[str] = IMAGE_SUFFIXES) -> list[
     """Image files below `folder`, sorted by path; arrays and bare samples where there are no others. Raises UserError naming
     the way out of formats nobody can read."""
     wanted, found, foreign, bare = set(suffixes), [], [], []
-    for where, folders, names in os.walk(folder):
+    for where, folders, names in _walk(folder):
         folders[:] = sorted(f for f in folders if not f.startswith("."))
         for name in names:
             suffix = Path(name).suffix.lower()
@@ -73,8 +73,15 @@ def has_images(folder: Path, suffixes: Iterable[str] = IMAGE_SUFFIXES) -> bool:
     wanted = set(suffixes) | set(UNREADABLE)
     wanted |= ARRAY_SUFFIXES if set(suffixes) == IMAGE_SUFFIXES else frozenset()
     return folder.is_dir() and any(
-        Path(name).suffix.lower() in wanted for _, _, names in os.walk(folder) for name in names if not name.startswith(".")
+        Path(name).suffix.lower() in wanted for _, _, names in _walk(folder) for name in names if not name.startswith(".")
     )
+
+
+def _walk(folder: Path) -> Iterator[tuple[str, list[str], list[str]]]:
+    """As os.walk. Raises UserError where the folder is a link to one above its own: all that lies there is no capture."""
+    if folder.is_symlink() and folder.resolve() in folder.parent.resolve().parents:
+        raise UserError(folder, "is a link to a folder that the capture lies in", "let it lead to the images' own folder")
+    yield from os.walk(folder)
 
 
 def image_folder(root: Path) -> Path:

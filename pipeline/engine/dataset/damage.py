@@ -11,7 +11,7 @@ from pathlib import Path
 from pipeline.engine.dataset import description, verified
 from pipeline.engine.dataset.digests import digest_file
 from pipeline.engine.dataset.directory import Dataset
-from pipeline.engine.dataset.documents import read_object, seal_fits
+from pipeline.engine.dataset.documents import read_object, seal_fits, small_file
 from pipeline.engine.dataset.in_use import LINK, in_use_text
 from pipeline.engine.dataset.verified import Verified
 from pipeline.engine.dataset.versions import Version, content_key
@@ -110,7 +110,7 @@ def _damaged_in_use(dataset: Dataset, stages: list[str]) -> Iterator[Damage]:
     recorded, path = dataset.in_use_table.recorded(), dataset.in_use_table.path
     wrong = []
     if path.exists():
-        text = path.read_bytes().decode(errors="replace")
+        text = (small_file(path) or b"").decode(errors="replace")
         if text != in_use_text(read_object(path) or {}) or set(read_object(path) or {}) - {"schema", *stages}:
             wrong.append("is not what was written")
         for stage in stages:

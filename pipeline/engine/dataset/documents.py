@@ -17,13 +17,20 @@ SEAL = re.compile(rb'"[^"]*": "([^"]{32})"\n?\}\n?$')  # whatever a flipped bit 
 
 def read_object(path: Path) -> dict[str, Any] | None:
     """The JSON object that a regular file holds, None where there is none: no file, no JSON, nested past all sense, a list."""
+    content = small_file(path)
     try:
-        if not path.is_file() or path.stat().st_size > LARGEST:
-            return None
-        value = json.loads(path.read_bytes())
-    except (OSError, ValueError, RecursionError):
+        value = None if content is None else json.loads(content)
+    except (ValueError, RecursionError):
         return None
     return value if isinstance(value, dict) else None
+
+
+def small_file(path: Path) -> bytes | None:
+    """What a regular file holds; None where there is none, or one larger than `LARGEST`; devices and pipes never end."""
+    try:
+        return path.read_bytes() if path.is_file() and path.stat().st_size <= LARGEST else None
+    except (OSError, ValueError):
+        return None
 
 
 def sealed(value: dict[str, Any], indent: int | None = 1) -> str:
@@ -35,12 +42,9 @@ def sealed(value: dict[str, Any], indent: int | None = 1) -> str:
 
 def seal_fits(path: Path) -> bool | None:
     """Whether a file's seal is that of its bytes; None where it has no seal (an older program wrote it) or cannot be read."""
-    try:
-        content = path.read_bytes()
-    except OSError:
-        return None
-    found = SEAL.search(content)
-    if found is None:
+    content = small_file(path)
+    found = None if content is None else SEAL.search(content)
+    if content is None or found is None:
         return None
     return found[1] == _digest(content[: found.start(1)] + BLANK.encode() + content[found.end(1) :]).encode()
 
@@ -51,9 +55,8 @@ def _digest(content: bytes) -> str:
 
 def write_whole(path: Path, text: str) -> None:
     """Write a small file whole: aside, synced, renamed. Leaves an equal file untouched, follows no link."""
-    with contextlib.suppress(OSError, ValueError):
-        if not path.is_symlink() and path.read_text() == text:
-            return
+    if not path.is_symlink() and small_file(path) == text.encode():
+        return
     path.parent.mkdir(parents=True, exist_ok=True)
     aside = path.with_name(f".{path.name}.{os.getpid()}")
     with contextlib.suppress(FileNotFoundError):

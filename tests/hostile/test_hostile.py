@@ -1,0 +1,16 @@
+"""A sample of the hostile captures and datasets; `make hostile` tries all of them."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+EVERY = 67
+
+
+def test_a_sample_of_hostile_captures_and_datasets_is_held():
+    run = [sys.executable, str(Path(__file__).with_name("run.py")), "--every", str(EVERY)]
+    done = subprocess.run(run, capture_output=True, text=True, timeout=600)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert " 0 not held" in done.stdout
