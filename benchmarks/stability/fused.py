@@ -113,7 +113,7 @@ def _hostile_points() -> Row:
     clean = [v.float() for v in _points()]
     light = _light("meadow", torch.float32)[0]
     expected = shade(*clean, light).stokes.detach()
-    spoilt = 0
+    invalid = 0
     for k in range(5):
         for value in (float("nan"), float("inf"), -float("inf"), 1e30, 0.0):
             arguments = [v.clone().requires_grad_(j < 5) for j, v in enumerate(clean)]
@@ -123,8 +123,8 @@ def _hostile_points() -> Row:
             rest = torch.arange(len(stokes)) != 7
             gradients = torch.autograd.grad(stokes[rest].sum(), arguments[:5], retain_graph=True)
             same = torch.equal(stokes.detach()[rest], expected[rest])
-            spoilt += not (same and all(bool(g[rest].isfinite().all()) for g in gradients))
-    return Row("kernels", "shade, one hostile point", "25 values", {"spoilt": spoilt}, spoilt == 0)
+            invalid += not (same and all(bool(g[rest].isfinite().all()) for g in gradients))
+    return Row("kernels", "shade, one hostile point", "25 values", {"invalid": invalid}, invalid == 0)
 
 
 @dataclass(frozen=True)

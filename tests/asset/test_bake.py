@@ -40,9 +40,9 @@ def test_normals_are_straight_up_where_mesh_and_views_agree(baked):
 
 
 def test_one_wrong_view_changes_nothing(ball_views, bake_ball, baked, truth):
-    spoilt = ball_views[3].values.copy()
-    spoilt[..., 3:6] = 1 - spoilt[..., 3:6]
-    robust = bake_ball([*ball_views[:3], replace(ball_views[3], values=spoilt), *ball_views[4:]])
+    damaged = ball_views[3].values.copy()
+    damaged[..., 3:6] = 1 - damaged[..., 3:6]
+    robust = bake_ball([*ball_views[:3], replace(ball_views[3], values=damaged), *ball_views[4:]])
     at, position = on_ball(robust)
     error = np.abs(robust.maps["albedo"][at[:, 0], at[:, 1]] - truth(position)).max(1)
     assert np.quantile(error, 0.9) < 0.06  # the mean of all would be 0.1 off
