@@ -174,9 +174,9 @@ def train_once(
             start.scene.bank.set_angle(name, float(np.radians(angle)))
     trainer = Trainer(start.scene, start.pyramids, mode, start.frame, parameters, device)  # type: ignore[arg-type]
     spent = time.perf_counter() - begin
-    marks = {round(parameters.iterations * (k + 1) / looks) for k in range(looks)}
+    marks = {round(trainer.parameters.iterations * (k + 1) / looks) for k in range(looks)}
     curve = []
-    while trainer.iteration < parameters.iterations:
+    while trainer.iteration < trainer.parameters.iterations:
         begin = time.perf_counter()
         trainer.step()
         spent += time.perf_counter() - begin

@@ -118,7 +118,7 @@ def train(capture: Capture, parameters: Any) -> Costs:
     pixels, share = _megapixels(capture), object_share(capture)
     seen = pixels / views * share  # megapixels of the object in a view
     splats = min(parameters.max_splats, 4 * seen * MEGA / parameters.splat_pixels**2)  # a ball's surface is four times its disc
-    steps = parameters.iterations
+    steps = parameters.steps(capture.polarisation if parameters.polarisation == "auto" else parameters.polarisation)
     step = 0.019 + 6.2 * MIRRORS.get(parameters.mirror, 1.0) * seen
     unknown = sum(p.angle_deg is None or not p.trusted for p in capture.polarisers.values()) or 1
     starts = 4 ** min(unknown, 2)

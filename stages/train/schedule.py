@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .parameters import FEWER_NUMBERS
 from .splats.optimiser import StepRule
 
 # Learning rates at the start, and rounds of diffusion of the updates over the surface graph. Positions are in units of the
@@ -30,6 +31,13 @@ LAST_RATE = 0.03  # learning rates at the end, of those at the start: the last s
 LAST_ENVIRONMENT_RATE = 0.1  # the same of the environment, which few pixels of each view tell about
 WARM_UP, FIRST_RATE = 0.02, 0.1  # share of the run over which rates rise to theirs, and where from: Adam's moments are young
 DIFFUSE_UNTIL = 0.7  # share of the run after which updates are no longer diffused, so that detail is free to settle
+
+
+def step_rules(mode: str) -> dict[str, StepRule]:
+    """How each tensor is stepped in data of a mode ("stokes", "polarisers", "none")."""
+    if mode == "stokes":
+        return STEP_RULES
+    return {name: StepRule(rule.rate / FEWER_NUMBERS, rule.diffusion) for name, rule in STEP_RULES.items()}
 
 
 @dataclass(frozen=True)

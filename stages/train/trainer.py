@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from .parameters import TrainParameters
 from .render_view import Rendered
 from .renderer import Renderer
 from .scene import Scene
-from .schedule import STEP_RULES, Phase, epoch_order, phase_at
+from .schedule import Phase, epoch_order, phase_at, step_rules
 from .splats.albedo_light_scale import ScaleStep
 from .splats.optimiser import SurfaceAdam
 from .upkeep import Upkeep
@@ -50,9 +51,10 @@ class Trainer:
         parameters: TrainParameters,
         backend: str,
     ) -> None:
+        parameters = replace(parameters, iterations=parameters.steps(mode))
         self.scene, self.mode, self.frame, self.parameters = scene, mode, frame, parameters
         self.pyramids = pyramids
-        self.adam = SurfaceAdam(STEP_RULES)
+        self.adam = SurfaceAdam(step_rules(mode))
         self.scale_step = ScaleStep()
         self.renderer = Renderer(scene, parameters, backend)
         if mode != "stokes":

@@ -1,4 +1,6 @@
-"""Numba kernels over the surface graph: the fused losses with their gradients, and diffusion. Twins: surface_losses.py, surface_graph.py.
+"""Numba kernels over the surface graph: the fused losses with their gradients, and diffusion.
+
+Twins: surface_losses.py, surface_graph.py.
 
 Each splat gathers from its neighbours (every edge is seen from both ends), so rows are independent and the result does
 not depend on how threads share them.
