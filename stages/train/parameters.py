@@ -30,8 +30,8 @@ not have is off. Start, rasteriser, optimiser and schedule stay this program's."
 
 FEWER_NUMBERS = 1.5
 """A view without full Stokes holds a third of the numbers and tells angles and IoR only together with shape: this many times
-the steps, of rates that much smaller. With Stokes' own a messy capture behind two polarisers ends with IoR 0.035 and angles 2.3 and
-2.4 degrees off instead of 0.012, 1.1 and 1.8; with the smaller rates and no more steps 0.026, 1.9 and 2.1."""
+the steps, of rates that much smaller. With Stokes' own a messy capture behind two polarisers ends with IoR 0.035 and angles 2.3
+and 2.4 degrees off instead of 0.012, 1.1 and 1.8; with the smaller rates and no more steps 0.026, 1.9 and 2.1."""
 
 
 def _p(default: Any, text: str) -> Any:
