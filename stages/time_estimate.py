@@ -117,13 +117,16 @@ def train(capture: Capture, parameters: Any) -> Costs:
     views = max(1, len(capture.pixels))
     pixels, share = _megapixels(capture), object_share(capture)
     seen = pixels / views * share  # megapixels of the object in a view
-    splats = min(parameters.max_splats, 4 * seen * MEGA / parameters.splat_pixels**2)  # a ball's surface is four times its disc
+    surface = 4 * seen * MEGA  # a ball's is four times its disc
+    splats = min(parameters.most_splats(seen * MEGA), surface / parameters.splat_pixels**2)
+    halved = parameters.coarse_fraction if parameters.begins_coarse(seen * MEGA) else 0.0
     steps = parameters.steps(capture.polarisation if parameters.polarisation == "auto" else parameters.polarisation)
-    step = 0.019 + 6.2 * MIRRORS.get(parameters.mirror, 1.0) * seen
+    shaded = 3.0 * MIRRORS.get(parameters.mirror, 1.0) * seen * (1 - 0.75 * halved)  # half-size images are a quarter
+    step = 0.016 + shaded
     unknown = sum(p.angle_deg is None or not p.trusted for p in capture.polarisers.values()) or 1
     starts = 4 ** min(unknown, 2)
     late = max(steps - LATE, 0)
-    whole = 1.2 + 0.02 * views + 1.25e-4 * splats + 0.91 * steps * step + late * (0.015 + 9e-7 * splats)
+    whole = 1.2 + 0.02 * views + 1.25e-4 * splats + 0.91 * steps * step + late * (0.005 + 9e-7 * splats)
     return {
         ITSELF: Cost(whole, 650.0 + 100 * pixels + 3e-3 * splats),
         "indirect": Cost(late * (0.008 + 0.4 * seen) + 1.0, 60.0),
@@ -131,7 +134,7 @@ def train(capture: Capture, parameters: Any) -> Costs:
         "polariser_angles": Cost(1.5 + 0.012 * (60 * starts + 80 * 5 + 100 * 2), 25.0 * starts),
         "polarisation_loss": Cost(0.09 * steps * step, 24 * pixels * share),
         "start_from_points": Cost(0.5, 5.0),
-        "pixels outside the masks": Cost(steps * (step - 0.019) / share * (1 - share), 100 * pixels * (1 - share)),
+        "pixels outside the masks": Cost(steps * shaded / share * (1 - share), 100 * pixels * (1 - share)),
         **_compiling("train"),
     }  # fmt: skip
 

@@ -28,6 +28,11 @@ PAPER: dict[str, Any] = {
 not have is off. Start, rasteriser, optimiser and schedule stay this program's."""
 
 
+LEAST_COARSE = 8000  # pixels of the object that images of half the size must still show: a step on 192 x 192 costs more for
+# its splats than for its pixels, and half of that loses shape (the teapot) without gaining time
+USUAL_SPLATS = 34000  # that there may be whatever the images' size
+SPLATS_PER_PIXEL = 1.6  # of the object in a view, that there may be of larger images: at 192 x 192, 93 000 splats leave Spot's
+# normals at 1.53 degrees, 31 000 at 1.24
 FEWER_NUMBERS = 1.5
 """A view without full Stokes holds a third of the numbers and tells angles and IoR only together with shape: this many times
 the steps, of rates that much smaller. With Stokes' own a messy capture behind two polarisers ends with IoR 0.035 and angles 2.3
@@ -144,6 +149,14 @@ class TrainParameters:
     def steps(self, mode: str) -> int:
         """Steps of a run: `iterations` with full Stokes vectors, more with fewer numbers a view ("polarisers", "none")."""
         return self.iterations if mode == "stokes" else round(FEWER_NUMBERS * self.iterations)
+
+    def most_splats(self, covered: float) -> float:
+        """Bound of the number of Gaussians where the object covers so many pixels of a view."""
+        return min(self.max_splats, max(USUAL_SPLATS, SPLATS_PER_PIXEL * covered))
+
+    def begins_coarse(self, covered: float) -> bool:
+        """Whether the first steps see images of half the size, where the object covers so many pixels of a view."""
+        return self.coarse_fraction >= 1 or (self.coarse_fraction > 0 and covered >= 4 * LEAST_COARSE)
 
     def searches_concavities(self, mode: str) -> bool:
         """Whether hollows are looked for in data of this mode ("stokes", "polarisers", "none")."""

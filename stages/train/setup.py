@@ -39,11 +39,6 @@ from .views.view import View, prepare
 
 START_ALBEDO, START_ROUGHNESS, START_IOR = 0.35, 0.35, 1.5  # an everyday dielectric
 BODY_SHARE, MIRROR_SHARE = 0.85, 0.07  # of a constant sky's light: what passes the surface in and out, and what it mirrors
-LEAST_COARSE = 8000  # pixels of the object that images of half the size must still show: a step on 192 x 192 costs more for
-# its splats than for its pixels, and half of that loses shape (the teapot) without gaining time
-USUAL_SPLATS = 34000  # that there may be whatever the images' size
-SPLATS_PER_PIXEL = 1.6  # of the object in a view, that there may be of larger images: at 192 x 192, 93 000 splats leave Spot's
-# normals at 1.53 degrees, 31 000 at 1.24
 NO_POINTS = np.zeros((0, 3))
 
 
@@ -120,23 +115,23 @@ def prepare_training(
     environment = start_environment(parameters, device)
     bank = PolariserBank(priors, sorted({s.camera.name for s in seen}), device) if mode == "polarisers" else None
     levels = [sources]
-    if _begins_coarse(seen, parameters.coarse_fraction):
+    if _begins_coarse(seen, parameters):
         levels.append([halved(s) for s in sources])
     pyramids = [[prepare(s, frame, black, device, openings) for s in level if s.split in LEARNT] for level in levels]
     found = StartFacts(begun.points, begun.reason, masked)
     return Start(Scene(model, environment, bank, hull, closed), pyramids, frame, hull, black, pixel, found)
 
 
-def _begins_coarse(seen: list[SourceView], fraction: float) -> bool:
+def _begins_coarse(seen: list[SourceView], parameters: TrainParameters) -> bool:
     """Whether the first steps see images of half the size."""
     covered = float(np.mean([(s.mask > 0.5).sum() for s in seen]))
-    return fraction >= 1 or (fraction > 0 and covered >= 4 * LEAST_COARSE)
+    return parameters.begins_coarse(covered)
 
 
 def _start_model(hull: HullMesh, seen: list[SourceView], pixel: float, parameters: TrainParameters, device: str) -> SplatModel:
     """Gaussians evenly on the hull, about `splat_pixels` apart, in the photographs' mean colour."""
     covered = float(np.mean([(s.mask > 0.5).sum() for s in seen]))
-    most = round(parameters.start_fraction * min(parameters.max_splats, max(USUAL_SPLATS, SPLATS_PER_PIXEL * covered)))
+    most = round(parameters.start_fraction * parameters.most_splats(covered))
     count = wanted_count(mesh_area(hull), pixel, parameters.splat_pixels, most)
     samples = sample_evenly(hull, count, np.random.default_rng(parameters.seed))
     model = SplatModel.from_samples(samples, START_ALBEDO, START_ROUGHNESS, START_IOR, device)

@@ -11,7 +11,8 @@ import torch
 
 from pipeline.capture.model import PolariserPrior
 from pipeline.errors import UserError
-from stages.train import checkpoint, setup
+from stages.train import checkpoint
+from stages.train import parameters as train_parameters
 from stages.train.log_environment import Environment
 from stages.train.parameters import TrainParameters
 from stages.train.setup import prepare_training
@@ -290,7 +291,7 @@ def test_an_object_nowhere_two_pixels_wide_is_trained_to_the_end(make_sources):
 
 @pytest.mark.parametrize("least, fraction, levels", [(10, 0.3, 2), (1e6, 0.3, 1), (1e6, 1.0, 2), (10, 0.0, 1)])
 def test_images_begin_coarse_where_half_of_them_still_show_the_object(make_sources, monkeypatch, least, fraction, levels):
-    monkeypatch.setattr(setup, "LEAST_COARSE", least)
+    monkeypatch.setattr(train_parameters, "LEAST_COARSE", least)
     trainer = trainer_of(make_sources(24, 9), replace(SMALL, coarse_fraction=fraction))
     assert len(trainer.pyramids) == levels
     assert [trainer.phase(k).level for k in (0, SMALL.iterations - 1)] == [levels - 1, int(fraction == 1)]
