@@ -154,9 +154,9 @@ def test_a_full_disk_leaves_the_last_checkpoint_and_no_half_one(tmp_path, monkey
 
 @pytest.fixture(scope="module")
 def seed_noise(make_sources):
-    """Validation PSNR (dB) of three seeds: 34.5 to 35.9, measured; the start's sampling of the hull makes the difference."""
+    """Validation PSNR (dB) of five seeds: 39.6 to 42.9, measured; the start's sampling of the hull makes the difference."""
     sources = make_sources(40, 16, roll=0.3)
-    return [trained(sources, SMALL.iterations, parameters=replace(SMALL, seed=k)).validate() for k in range(3)]
+    return [trained(sources, SMALL.iterations, parameters=replace(SMALL, seed=k)).validate() for k in range(5)]
 
 
 @pytest.mark.slow
@@ -165,7 +165,8 @@ def test_units_and_axes_change_no_more_than_the_seed_does(make_sources, seed_noi
     turn = np.linalg.qr(np.random.default_rng(5).normal(size=(3, 3)))[0]
     turn *= np.sign(np.linalg.det(turn))
     there = moved(make_sources(40, 16, roll=0.3), scale, turn, scale * np.array([30.0, -20.0, 10.0]))
-    assert min(seed_noise) - 0.5 < trained(there, SMALL.iterations).validate() < max(seed_noise) + 0.5
+    usual, deviation = np.mean(seed_noise), np.std(seed_noise, ddof=1)
+    assert abs(trained(there, SMALL.iterations).validate() - usual) < 2.5 * deviation  # one run in eighty of other seeds is not
 
 
 @pytest.mark.slow
