@@ -106,8 +106,7 @@ def train(capture: Capture, parameters: Any, jobs: int) -> float:
         MiB at the peak.
     """
     seen = sum(capture.pixels) / max(1, len(capture.pixels)) * object_share(capture)  # pixels of the object in a view
-    splats = min(parameters.most_splats(seen), 4 * seen / parameters.splat_pixels**2)  # a ball's surface is four times its disc
-    return 650.0 + 100 * sum(capture.pixels) / MEBI + 3e-3 * splats
+    return 650.0 + 100 * sum(capture.pixels) / MEBI + 3e-3 * parameters.likely_splats(seen)
 
 
 def mesh(capture: Capture, parameters: Any, jobs: int) -> float:

@@ -117,8 +117,7 @@ def train(capture: Capture, parameters: Any) -> Costs:
     views = max(1, len(capture.pixels))
     pixels, share = _megapixels(capture), object_share(capture)
     seen = pixels / views * share  # megapixels of the object in a view
-    surface = 4 * seen * MEGA  # a ball's is four times its disc
-    splats = min(parameters.most_splats(seen * MEGA), surface / parameters.splat_pixels**2)
+    splats = parameters.likely_splats(seen * MEGA)
     halved = parameters.coarse_fraction if parameters.begins_coarse(seen * MEGA) else 0.0
     steps = parameters.steps(capture.polarisation if parameters.polarisation == "auto" else parameters.polarisation)
     shaded = 3.0 * MIRRORS.get(parameters.mirror, 1.0) * seen * (1 - 0.75 * halved)  # half-size images are a quarter

@@ -39,7 +39,7 @@ def outline_gap(mesh: Mesh, views: Iterable[DepthView]) -> float:
 
 def _gaps(solid: RayMesh, view: DepthView) -> Iterator[NDArray[np.float64]]:
     """Gaps (world units) and lengths (px) of the pieces [2, N] of a view's outline, if the frame does not cut it off."""
-    from scipy.ndimage import distance_transform_edt
+    from scipy.ndimage import binary_erosion, distance_transform_edt
 
     camera = view.camera
     finer = 1 if min(camera.width, camera.height) >= ENOUGH_RAYS else 2
@@ -48,7 +48,7 @@ def _gaps(solid: RayMesh, view: DepthView) -> Iterator[NDArray[np.float64]]:
     if not covered.any() or covered[[0, -1]].any() or covered[:, [0, -1]].any():
         return
     area = covered.reshape(camera.height, finer, camera.width, finer).mean((1, 3))
-    edge = (covered & ~_eroded(covered)).reshape(camera.height, finer, camera.width, finer).any((1, 3))
+    edge = (covered & ~binary_erosion(covered)).reshape(camera.height, finer, camera.width, finer).any((1, 3))
     away, (row, column) = distance_transform_edt(~edge, return_indices=True)
     deep = (area == 1) & (away > BAND)
     missing_px = np.minimum(view.alpha / (np.median(view.alpha[deep]) if deep.any() else 1.0), 1) - area
@@ -60,14 +60,6 @@ def _gaps(solid: RayMesh, view: DepthView) -> Iterator[NDArray[np.float64]]:
     long = lengths > 0.5 * cell
     pixel = float(np.median(view.depth[view.depth > 0])) / np.sqrt(camera.fx * camera.fy)
     yield np.stack([missing[long] / lengths[long] * pixel, lengths[long]])
-
-
-def _eroded(inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    out = inside.copy()
-    for axis in (0, 1):
-        for step in (1, -1):
-            out &= np.roll(inside, step, axis)
-    return out
 
 
 def _steps(inside: NDArray[np.bool_]) -> NDArray[np.float64]:

@@ -154,6 +154,10 @@ class TrainParameters:
         """Bound of the number of Gaussians where the object covers so many pixels of a view."""
         return min(self.max_splats, max(USUAL_SPLATS, SPLATS_PER_PIXEL * covered))
 
+    def likely_splats(self, covered: float) -> float:
+        """Number of Gaussians there, as of a ball, whose surface is four times its disc."""
+        return min(self.most_splats(covered), 4 * covered / self.splat_pixels**2)
+
     def begins_coarse(self, covered: float) -> bool:
         """Whether the first steps see images of half the size, where the object covers so many pixels of a view."""
         return self.coarse_fraction >= 1 or (self.coarse_fraction > 0 and covered >= 4 * LEAST_COARSE)

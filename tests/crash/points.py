@@ -63,23 +63,11 @@ class Shim:
 
 def forked(work: Callable[[], int], log: Path) -> int:
     """The exit status of `work` in a fork whose output goes to a file."""
+    from forks import end_as
+
     pid = os.fork()
     if pid == 0:
-        status = 99
-        try:
-            stream = open(log, "a", buffering=1)  # noqa: SIM115
-            sys.stdout = sys.stderr = stream
-            os.dup2(stream.fileno(), 1)
-            os.dup2(stream.fileno(), 2)
-            status = work()
-        except SystemExit as ended:
-            status = int(ended.code or 0)
-        except BaseException:
-            import traceback
-
-            traceback.print_exc()
-        finally:
-            os._exit(status)
+        end_as(work, log)
     return os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
 
 

@@ -76,11 +76,13 @@ class Place:
     def call(self, command: str, capture: Path, dataset: Path) -> tuple[int, str, int]:
         """Status, what was said, and peak memory (bytes) of a command in a fork."""
         self.scene.capture, sound = capture, self.scene.capture
+        from forks import end_as
+
         log = self.base / "log"
         log.write_text("")
         pid = os.fork()
         if pid == 0:
-            self._in_fork(command, capture, dataset, log)
+            end_as(lambda: self._run(command, capture, dataset), log)
         status, usage = _waited(pid)
         self.scene.capture = sound
         stages = dataset.parent / "log"  # of the stages' own forks
@@ -88,31 +90,16 @@ class Place:
         stages.unlink(missing_ok=True)
         return status, said, usage
 
-    def _in_fork(self, command: str, capture: Path, dataset: Path, log: Path) -> None:
+    def _run(self, command: str, capture: Path, dataset: Path) -> int:
         from pipeline.engine import cli
 
-        status = 99
-        try:
-            os.setsid()
-            stream = open(log, "a", buffering=1)  # noqa: SIM115
-            os.dup2(stream.fileno(), 1)
-            os.dup2(stream.fileno(), 2)
-            sys.stdout = sys.stderr = stream
-            limit = 2 * MOST_BYTES
-            resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
-            name, *more = command.split()
-            cli.load_stages = lambda modules: self.scene.stages
-            cli.run_stage = self.scene.run_stage
-            about = [str(capture)] if name != "gc" else []
-            status = cli.main(self.scene.program, [name, *about, "--dataset", str(dataset), *more])
-        except SystemExit as ended:
-            status = int(ended.code or 0)
-        except BaseException:
-            import traceback
-
-            traceback.print_exc()
-        finally:
-            os._exit(status)
+        os.setsid()
+        resource.setrlimit(resource.RLIMIT_DATA, (2 * MOST_BYTES, 2 * MOST_BYTES))
+        name, *more = command.split()
+        cli.load_stages = lambda modules: self.scene.stages
+        cli.run_stage = self.scene.run_stage
+        about = [str(capture)] if name != "gc" else []
+        return cli.main(self.scene.program, [name, *about, "--dataset", str(dataset), *more])
 
 
 def _waited(pid: int) -> tuple[int, int]:
