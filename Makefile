@@ -60,8 +60,9 @@ demo: $(READY)  ## a tiny synthetic capture through every stage
 	@echo "reports: $$DEMO/views/metrics/current/report.html and $$DEMO/stage/metrics/current/report.html"
 
 # One thread for each test, as many at once as there are cores: their arrays are small, and threads that wait for each other cost
-# three times the time. The tests of a file stay together (tests/conftest.py).
-TESTS = OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 $(BIN)/python -m pytest -n logical --dist loadfile
+# three times the time. The tests of a file stay together (tests/conftest.py). Byte code is kept wherever the surroundings forbid it:
+# every process would compile the project and the rewritten asserts anew, half a minute of a core in all.
+TESTS = PYTHONDONTWRITEBYTECODE= OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 $(BIN)/python -m pytest -n logical --dist loadfile
 
 # mypy and the compilation take a minute of one core each.
 test: $(INSTALLED)  ## everything; `test-fast` first tells soon what is wrong
