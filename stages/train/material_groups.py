@@ -20,7 +20,9 @@ from .splats.optimiser import adam_update
 
 APART = 4.0  # standard deviations between the means of two groups, at least. Halves of a bell lie 2.6 of theirs apart, those of
 # an even spread 3.5: one colour, however uneven, is not divided
-LEAST_SHARE = 0.02  # of the splats in a group: fewer are a border's blend or a fleck
+LEAST_SHARE = (
+    0.05  # of the splats in a group: fewer may be the blends at a border, a cavity that no light is known of, or a fleck
+)
 MOST_GROUPS = 8
 ROUNDS = 20  # of moving the dividing plane of two groups to the middle of their means; it rests after a few
 LEAST_SPREAD = 0.02  # sRGB, 0..1: standard deviation that a group has at least, or blends at a sharp border were a colour
@@ -66,19 +68,23 @@ def _halves(colours: NDArray, least: int) -> NDArray[np.bool_] | None:
 
 @dataclass(frozen=True)
 class Groups:
-    """Which group each splat belongs to [N], and how many there are."""
+    """Which group each splat belongs to [N], and how many splats each has [G]."""
 
     of: torch.Tensor
-    count: int
+    members: torch.Tensor
+
+    @classmethod
+    def numbered(cls, of: torch.Tensor) -> Groups:
+        """Groups of these numbers, from 0."""
+        return cls(of, torch.bincount(of))
 
     def sums(self, values: torch.Tensor) -> torch.Tensor:
         """Sums of per-splat values [N, C] by group [G, C]."""
-        return values.new_zeros(self.count, values.shape[1]).index_add(0, self.of, values)
+        return values.new_zeros(len(self.members), values.shape[1]).index_add(0, self.of, values)
 
     def held(self, values: torch.Tensor) -> torch.Tensor:
         """What of values [N, C] is a splat's own, and HELD of its group's mean."""
-        members = torch.bincount(self.of, minlength=self.count).clamp_min(1)
-        means = self.sums(values) / members[:, None]
+        means = self.sums(values) / self.members[:, None]
         return values - (1 - HELD) * means.index_select(0, self.of)
 
 
@@ -87,8 +93,7 @@ def groups_of(model: SplatModel) -> Groups | None:
     """The splats grouped by their albedo as it is; None where all are of one colour."""
     albedo = torch.sigmoid(model["albedo"].detach())
     found = colour_groups(albedo.cpu().numpy())
-    count = int(found.max(initial=0)) + 1
-    return Groups(torch.as_tensor(found, device=albedo.device), count) if count > 1 else None
+    return Groups.numbered(torch.as_tensor(found, device=albedo.device)) if found.any() else None
 
 
 class GroupStep:
@@ -104,7 +109,7 @@ class GroupStep:
         offsets = [model[name] for name in OFFSETS]
         given = [torch.zeros_like(t) if t.grad is None else t.grad for t in offsets]
         gradient = groups.sums(torch.nan_to_num(torch.stack(given, -1), nan=0.0, posinf=0.0, neginf=0.0))
-        if self.moments is None or self.moments.shape[1] != groups.count:
+        if self.moments is None or self.moments.shape[1] != len(groups.members):
             self.moments, self.steps = gradient.new_zeros(2, *gradient.shape), 0
         self.steps += 1
         moved = adam_update(*self.moments, gradient, self.steps)[groups.of]
