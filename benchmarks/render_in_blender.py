@@ -3,7 +3,8 @@
     python render_in_blender.py JOB.json
 
 JOB: {"asset": folder, "file": "blender.py" | "asset.glb" | "asset.usdz" | "asset.obj", "environment": map, "samples": n,
-"seed": n, "views": [{"matrix": 4x4 camera-to-asset (OpenGL axes, y up), "fx", "fy", "cx", "cy", "width", "height", "out": picture.exr}]}
+"seed": n, "views": [{"matrix": 4x4 camera-to-asset (OpenGL axes, y up), "fx", "fy", "cx", "cy", "width", "height",
+"out": picture.exr}]}
 """
 
 import importlib.util

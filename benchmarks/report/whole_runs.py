@@ -39,7 +39,7 @@ def assets(stored: dict[str, Any]) -> Section:
         figures = ["" if level is None else number(level) for level in levels]
         rows.append([name, *figures, ratio, str(row["samples"] or ""), number(row["seconds"])])
     text = (
-        "The asset of a whole run, lit by a map that training did not see: PSNR of the object against our own relit view of it, "
-        "and both against path-traced truth. Noise is taken out by two renderings with samples of their own."
+        "The asset of a whole run, lit by a map that training did not see: PSNR of the object against our own relit view of "
+        "it, and both against path-traced truth. Noise is taken out by two renderings with samples of their own."
     )
     return Section("Assets in other programs", text, rows)
