@@ -6,6 +6,7 @@ without a shared value (`splats.gaussians`). A common step for each group sees t
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -104,7 +105,7 @@ class GroupStep:
         self.steps = 0
 
     @torch.no_grad()
-    def step(self, model: SplatModel, groups: Groups, rates: tuple[float, float]) -> None:
+    def step(self, model: SplatModel, groups: Groups, rates: Sequence[float]) -> None:
         """Move the offsets in place, by `rates` of OFFSETS; call it while their gradients are still there."""
         offsets = [model[name] for name in OFFSETS]
         given = [torch.zeros_like(t) if t.grad is None else t.grad for t in offsets]
@@ -112,7 +113,8 @@ class GroupStep:
         if self.moments is None or self.moments.shape[1] != len(groups.members):
             self.moments, self.steps = gradient.new_zeros(2, *gradient.shape), 0
         self.steps += 1
-        moved = adam_update(*self.moments, gradient, self.steps)[groups.of]
+        first, second = self.moments
+        moved = adam_update(first, second, gradient, self.steps)[groups.of]
         for tensor, rate, step in zip(offsets, rates, moved.unbind(-1)):
             tensor.sub_(step, alpha=rate)
 
