@@ -30,6 +30,8 @@ STEP_RULES = {
 LAST_RATE = 0.03  # learning rates at the end, of those at the start: the last steps average over views
 LAST_ENVIRONMENT_RATE = 0.1  # the same of the environment, which few pixels of each view tell about
 WARM_UP, FIRST_RATE = 0.02, 0.1  # share of the run over which rates rise to theirs, and where from: Adam's moments are young
+AGREE_FROM, AGREEMENT = 0.8, 3.0  # share of the run from which normals must agree with positions so many times as much: then
+# both are nearly right and tell of each other
 DIFFUSE_UNTIL = 0.7  # share of the run after which updates are no longer diffused, so that detail is free to settle
 
 
@@ -43,12 +45,14 @@ def step_rules(mode: str) -> dict[str, StepRule]:
 @dataclass(frozen=True)
 class Phase:
     """Settings of one step: image pyramid level (0 = full size), learning-rate factors by tensor name ("" = others),
-    diffusion factor of the updates, and whether validation views are trained on too."""
+    diffusion factor of the updates, whether validation views are trained on too, and the factor of the weight of agreement of
+    normals with positions."""
 
     level: int
     rates: dict[str, float]
     diffusion: float
     every_view: bool
+    agreement: float
 
 
 def cosine(start: float, end: float, t: float) -> float:
@@ -65,6 +69,7 @@ def phase_at(done: float, coarse: float, consolidate: float) -> Phase:
         rates={"": decay * warm, "environment": cosine(1.0, LAST_ENVIRONMENT_RATE, done)},
         diffusion=max(0.0, 1 - done / DIFFUSE_UNTIL),
         every_view=done >= 1 - consolidate,
+        agreement=AGREEMENT if done >= AGREE_FROM else 1.0,
     )
 
 

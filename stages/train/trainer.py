@@ -76,7 +76,7 @@ class Trainer:
         if self.mode == "stokes":
             view = trusted(view, occlusion, self.iteration / self.parameters.iterations)
         rendered = self.renderer.render_under(view, occlusion)
-        terms, surface_parts = loss_terms(self.parameters, self.mode, self.scene, view, rendered)
+        terms, surface_parts = loss_terms(self.weights(phase), self.mode, self.scene, view, rendered)
         torch.stack(list(terms.values())).sum().backward()
         self.update(rendered, phase)
         self.iteration += 1
@@ -107,6 +107,11 @@ class Trainer:
         p = self.parameters
         coarse = p.coarse_fraction if len(self.pyramids) > 1 else 0.0
         return phase_at(iteration / p.iterations, coarse, p.consolidate_fraction)
+
+    def weights(self, phase: Phase) -> TrainParameters:
+        """The parameters with the weights of a phase; the printed losses' stay as they are."""
+        p = self.parameters
+        return p if p.losses == "printed" else replace(p, weight_depth_normal=phase.agreement * p.weight_depth_normal)
 
     def view_at(self, iteration: int, phase: Phase) -> View:
         """The training view of a step: every view once an epoch, in an order that seed and epoch fix."""

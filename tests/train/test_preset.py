@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from pipeline.engine.stage import parameters_from
 from pipeline.shading.environment import activate
 from stages.train.log_environment import Environment
 from stages.train.parameters import PAPER, TrainParameters
+from stages.train.schedule import AGREE_FROM, AGREEMENT, phase_at
 from stages.train.setup import prepare_training
 from stages.train.stage import STAGE
 from stages.train.trainer import Trainer
@@ -38,6 +40,14 @@ def paper_trainer(make_sources):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("given, late", [({}, AGREEMENT), ({"preset": "paper"}, 1.0)])
+def test_normals_must_agree_with_positions_more_at_the_end_but_for_the_printed_losses(given, late):
+    trainer = SimpleNamespace(parameters=parameters_from(STAGE, given, "PARAMS"))
+    weight = trainer.parameters.weight_depth_normal
+    for done, factor in ((0.0, 1.0), (AGREE_FROM - 0.01, 1.0), (AGREE_FROM, late), (1.0, late)):
+        assert Trainer.weights(trainer, phase_at(done, 0.3, 0.15)).weight_depth_normal == pytest.approx(factor * weight)
+
+
 def test_the_papers_losses_train(paper_trainer):
     before = paper_trainer.validate()
     found = [paper_trainer.step() for _ in range(60)][-1]
