@@ -23,7 +23,7 @@ export CAPTURE DATASET PARAMS ENVS DEVICE JOBS CAPTURES MEMORY DEMO
 SETTINGS = --dataset="$$DATASET" --params="$$PARAMS" --envs="$$ENVS" --device="$$DEVICE" --jobs="$$JOBS" --memory="$$MEMORY"
 OPTIONS = $(if $(CAPTURE),"$$CAPTURE") $(SETTINGS)
 
-.PHONY: all plan inspect report tradeoff batch verify gc $(STAGES) setup demo test test-fast crash-test hostile lint bench $(BENCHES) stability bench-gpu clean help
+.PHONY: all plan inspect report tradeoff batch verify gc $(STAGES) setup demo test test-fast crash-test kill-test hostile lint bench $(BENCHES) stability bench-gpu clean help
 .DEFAULT_GOAL := help
 
 all plan inspect report tradeoff $(STAGES): $(READY)
@@ -60,8 +60,9 @@ demo: $(READY)  ## a tiny synthetic capture through every stage
 	@echo "reports: $$DEMO/views/metrics/current/report.html and $$DEMO/stage/metrics/current/report.html"
 
 # One thread for each test, as many at once as there are cores: their arrays are small, and threads that wait for each other cost
-# three times the time. The tests of a file stay together (tests/conftest.py).
-TESTS = OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 $(BIN)/python -m pytest -n logical --dist loadfile
+# three times the time. The tests of a file stay together (tests/conftest.py). Byte code is kept wherever the surroundings forbid it:
+# every process would compile the project and the rewritten asserts anew, half a minute of a core in all.
+TESTS = PYTHONDONTWRITEBYTECODE= OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 $(BIN)/python -m pytest -n logical --dist loadfile
 
 # mypy and the compilation take a minute of one core each.
 test: $(INSTALLED)  ## everything; `test-fast` first tells soon what is wrong
@@ -74,6 +75,10 @@ test-fast: $(READY)  ## the fast ones alone: about a minute
 # Every stop is a run of its own: some two thousand of them, a minute a hundred on quiet cores.
 crash-test: $(READY)  ## stop small runs before each of their changes to the disk; needs a C compiler
 	OMP_NUM_THREADS=1 $(BIN)/python tests/crash/points.py
+
+# Half an hour on quiet cores.
+kill-test: $(READY)  ## kill small runs at a thousand random moments
+	OMP_NUM_THREADS=1 $(BIN)/python tests/crash/kills.py
 
 # Four hundred of them, each through three commands or more: ten minutes on quiet cores.
 hostile: $(READY)  ## captures and datasets that reach outside, execute or swallow memory, through the program

@@ -72,7 +72,7 @@ class _Mesh:
         return Seen(points, normals, view, surface.material[:, 3], blocked, learnt)
 
 
-class LocalEnvironments(_Mesh):
+class EnvironmentsOnMesh(_Mesh):
     """PhyGaP's GridMap."""
 
     def __init__(self, mesh: Path, model: ShadingModel, weights: str, anchors: str) -> None:
@@ -102,7 +102,7 @@ class LocalEnvironments(_Mesh):
         return self._grid.occlusion(a.points, a.normals, a.view, a.roughness, light, a.blocked)
 
 
-class LearntHarmonics(_Mesh):
+class HarmonicsOnMesh(_Mesh):
     """Ref-Gaussian's: mirrored light that the object blocks is what training has learnt, under whatever map it is lit by."""
 
     def __init__(self, mesh: Path, model: ShadingModel, train: Path) -> None:
@@ -161,8 +161,8 @@ def _made(kind: str, mesh: Path, model: ShadingModel, run: StageRun) -> Indirect
         if blocked_share(Occluder(*simplified(vertices, faces, FACES))) < LEAST_BLOCKED:
             return None
     if kind == "gridmap":
-        return LocalEnvironments(mesh, model, run.parameters.gridmap_weights, run.parameters.gridmap_anchors)
-    return LearntHarmonics(mesh, model, run.inputs["train"]) if kind == "sh" else SelfOcclusion(mesh, model)
+        return EnvironmentsOnMesh(mesh, model, run.parameters.gridmap_weights, run.parameters.gridmap_anchors)
+    return HarmonicsOnMesh(mesh, model, run.inputs["train"]) if kind == "sh" else SelfOcclusion(mesh, model)
 
 
 def traced(run: StageRun, model: ShadingModel, occluder: Indirect | None) -> SelfOcclusion | None:

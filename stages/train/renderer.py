@@ -9,7 +9,7 @@ import torch
 from pipeline.shading import LightField, Occlusion, Prefilter
 from pipeline.shading.occluded import LEAST_BLOCKED
 
-from .indirect.substitutes import substitute
+from .indirect.gridmap_or_harmonics import substitute
 from .parameters import TrainParameters
 from .pixel_attributes import LEAST_ALPHA
 from .render_view import LEARNT_FROM, SHOWN_FROM, GBuffer, Rendered, rasterise_view, render_view

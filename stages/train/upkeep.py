@@ -7,7 +7,7 @@ from typing import Any
 
 import torch
 
-from .indirect.substitutes import GRIDMAP_EVERY
+from .indirect.gridmap_or_harmonics import GRIDMAP_EVERY
 from .parameters import TrainParameters
 from .renderer import Renderer
 from .scene import Scene

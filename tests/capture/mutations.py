@@ -204,7 +204,7 @@ def change_arrays(root: Path, rng: random.Random) -> None:
         else:
             np.save(path, _odd_array(np.load(path), rng), allow_pickle=True)
         return None
-    with np.load(path) as archive:
+    with path.open("rb") as file, np.load(file) as archive:  # by itself it leaves damaged files open
         arrays = {name: archive[name] for name in archive.files}
     name = rng.choice(sorted(arrays))
     kind = rng.randrange(4)

@@ -249,6 +249,23 @@ def test_a_table_whose_images_are_not_here_is_one_line(views, tmp_path):
         ball.write(tmp_path / "images/other.png", views[0][1])
 
 
+@pytest.mark.parametrize("beside", ["masks", "gt/normals", "depth", "previews", "albedo_maps", "envmaps"])
+def test_pictures_named_like_views_do_not_stand_in_for_views_that_are_gone(beside, views, tmp_path):
+    root, elsewhere = tmp_path / "capture", tmp_path / "elsewhere"
+    images(root, views, beside + "/{:03d}.png")
+    elsewhere.mkdir()
+    ball.save(root / "transforms.json", ball.transforms([c for c, _ in views], [f"images/{i:03d}.png" for i in range(VIEWS)]))
+    for _ in range(2):
+        with pytest.raises(UserError, match=r"none of its 6 images is there \(first: images/000"):
+            open_capture(root)
+        (root / "images").symlink_to(elsewhere) if not (root / "images").is_symlink() else None
+
+
+def test_a_capture_of_maps_alone_is_doubted(views, tmp_path):
+    images(tmp_path, views, "depth/{:03d}.png")
+    assert any("holds no photographs" in text and "check" in text for text in open_capture(tmp_path).warnings)
+
+
 def test_one_missing_image_is_not_matched_with_another_folder(views, tmp_path):
     images(tmp_path, views)
     images(tmp_path, views, "depth/{:03d}.png")

@@ -13,6 +13,7 @@ import numpy as np
 from pipeline.capture import Capture
 from pipeline.engine import call as calls
 from pipeline.engine import cli, places
+from pipeline.engine.child import stage_command
 from pipeline.engine.stage import Decision, Stage, StageRun
 
 
@@ -20,29 +21,27 @@ class Scene:
     """A capture, the stages over it, and what an undisturbed run leaves."""
 
     name = ""
+    other = ""
+    """PARAMS that make a version besides that of the defaults."""
 
     def __init__(self, capture: Path, stages: dict[str, Stage], last: str) -> None:
         self.capture, self.stages = capture, stages
         self.program = calls.Program({}, module="none", report=last, inspect=lambda *a: Path())
         self.whole: dict[str, str] = {}
 
-    def call(self, command: str, dataset: Path) -> int:
+    def call(self, command: str, dataset: Path, *more: str, parameters: str | None = None) -> int:
         """Run a command of the program in this process; a stage's own process is a fork."""
         cli.load_stages = lambda modules: self.stages  # this process is a fork of its own
         cli.run_stage = self.run_stage
-        arguments = [command, str(self.capture), "--dataset", str(dataset), "--params", self.parameters()]
+        arguments = [command, str(self.capture), "--dataset", str(dataset), "--params", parameters or "", *more]
         return cli.main(self.program, arguments)
-
-    def parameters(self) -> str:
-        """PARAMS of every call."""
-        return ""
 
     def run_stage(self, call: calls.Call, name: str) -> int:
         """Make one stage as its own process does."""
         from points import forked
 
-        return forked(lambda: cli.main(self.program, [name, str(self.capture), "--alone", "--dataset", str(call.dataset.root)]),
-                      call.dataset.root.parent / "log")  # fmt: skip
+        arguments = stage_command(call, name)[3:]  # what follows `python -m MODULE`
+        return forked(lambda: cli.main(self.program, arguments), call.dataset.root.parent / "log")
 
 
 @dataclass(frozen=True)
@@ -70,6 +69,7 @@ class Stub(Scene):
     """Two stages that cost nothing."""
 
     name = "stub"
+    other = "count.factor=3"
 
     def __init__(self, folder: Path) -> None:
         folder.mkdir(parents=True)
@@ -126,6 +126,12 @@ class Real(Scene):
     """Decode, poses and masks, as they are."""
 
     name = "real"
+    other = "masks.max_size=64"
+    exact: tuple[str, ...] = ("decode", "poses", "masks")
+
+    def write(self, folder: Path) -> None:
+        """The capture."""
+        write_views(folder)
 
     def __init__(self, folder: Path) -> None:
         from pipeline.capture import open_capture
@@ -135,12 +141,32 @@ class Real(Scene):
         for module in LOADED:
             importlib.import_module(module)  # once, for all forks
         places.open_capture = open_capture
-        write_views(folder)
-        exact = ("decode", "poses", "masks")
+        from points import forked
+
+        # in a fork, as libraries' threads do not outlive one
+        assert forked(lambda: self.write(folder) or 0, folder.parent / "written") == 0, (folder.parent / "written").read_text()
+        exact = self.exact
         stages = load_stages({name: STAGES[name] for name in exact})
         for name, stage in stages.items():
             stages[name] = dataclasses.replace(stage, needs=tuple(n for n in stage.needs if n in exact))
-        super().__init__(folder, stages, "masks")
+        super().__init__(folder, stages, exact[-1])
 
 
-SCENES = {"stub": Stub, "real": Real, "careless": Careless}
+class LightStage(Real):
+    """The same with the fit of two cameras' frames of eight lights."""
+
+    name = "stage"
+    exact = ("decode", "poses", "masks", "olat")
+
+    def write(self, folder: Path) -> None:
+        """Frames of a ball from two cameras of one place."""
+        from synth.ball import lights_csv, write_stage
+
+        for camera in ("cam00", "cam01"):
+            directions = write_stage(folder, camera=camera)
+        (folder / "lights.csv").write_text(lights_csv(directions))
+        shown = (folder / "cameras" / "camera00.txt").read_text()
+        (folder / "cameras" / "camera01.txt").write_text(shown)
+
+
+SCENES = {"stub": Stub, "real": Real, "stage": LightStage, "careless": Careless}

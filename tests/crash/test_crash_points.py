@@ -31,3 +31,12 @@ def test_a_run_that_is_stopped_before_a_change_to_the_disk_is_mended_by_the_same
 def test_a_stage_that_a_stop_does_harm_to_is_found():
     done = points("--scenes", "careless", "--ways", "exit", "--every", "8")
     assert done.returncode == 1 and "differs: " in done.stdout, done.stdout + done.stderr
+
+
+def test_what_random_kills_leave_is_mended_by_the_same_commands():
+    done = subprocess.run(
+        [sys.executable, str(HERE / "kills.py"), "--kills", "12", "--scenes", "stub"],
+        cwd=HERE.parents[1], capture_output=True, text=True, timeout=900,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert re.search(r"stub: \d+ kills, 0 not mended", done.stdout), done.stdout

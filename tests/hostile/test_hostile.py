@@ -6,9 +6,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 EVERY = 67
 
 
+@pytest.mark.slow
 def test_a_sample_of_hostile_captures_and_datasets_is_held():
     run = [sys.executable, str(Path(__file__).with_name("run.py")), "--every", str(EVERY)]
     done = subprocess.run(run, capture_output=True, text=True, timeout=600)

@@ -32,7 +32,7 @@ LONG_FILES = {
 _ADJOINT = "derivatives of one expression, in the order of the forward pass: parts would pass twenty values on"
 _KERNEL = "one loop of a kernel: parts would pass its whole state on"
 LONG_FUNCTIONS = {
-    "pipeline/capture/layouts/transforms.py:read": (70, "one file format, key after key"),
+    "pipeline/capture/layouts/nerfstudio.py:read": (70, "one file format, key after key"),
     "pipeline/rig/lobe_loops.py:_loops": (80, _KERNEL),
     "pipeline/shading/lobe.py:_backward": (90, _ADJOINT),
     "pipeline/shading/prefilter_kernels.py:_row": (60, _KERNEL),

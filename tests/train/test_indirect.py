@@ -13,9 +13,9 @@ from pipeline.geometry.rays import RayMesh
 from pipeline.optics.sphere import sphere_rule
 from pipeline.shading import Prefilter
 from stages.train import checkpoint
+from stages.train.indirect.gridmap_or_harmonics import GRIDMAP_EVERY
 from stages.train.indirect.harmonics import NAME, basis
-from stages.train.indirect.pixel_light import LocalLight
-from stages.train.indirect.substitutes import GRIDMAP_EVERY
+from stages.train.indirect.pixel_light import GridLight
 from stages.train.parameters import TrainParameters
 from stages.train.setup import prepare_training
 from stages.train.trainer import Trainer
@@ -95,7 +95,7 @@ def test_gridmap_gives_the_diffuse_light_everywhere_and_the_mirrored_where_the_o
     # Where the anchors stand in the open the blend is about the environment's own irradiance: the same order, not the same.
     field, view = trainer.renderer.light(), trainer.pyramids[0][0]
     here = trainer.scene.occlusion[view.name, 0]
-    assert isinstance(here, LocalLight)
+    assert isinstance(here, GridLight)
     ratio = here.bounced.mean() / field.irradiance(here.normal, transmitted=True).detach().mean()
     assert 0.5 < float(ratio) < 1.5  # 0.86
 
@@ -114,7 +114,7 @@ def test_the_irradiance_of_gridmap_follows_a_normal_that_turns():
     n = torch.tensor([[0.0, 0.0, 1.0]])
     slope = torch.tensor([[[1.0, 0, 0], [0, 1, 0], [0, 0, 0]]])
     zero, one = torch.zeros(1, 3), torch.ones(1)
-    light = LocalLight(zero, torch.tensor([[0.5, 0.5, 0.5]]), one, zero, n, slope)
+    light = GridLight(zero, torch.tensor([[0.5, 0.5, 0.5]]), one, zero, n, slope)
     turned = light.under(torch.tensor([[0.1, -0.9, 0.42]]), torch.empty(1, 0))
     torch.testing.assert_close(turned.bounced, torch.tensor([[0.6, 0.0, 0.5]]))  # never below 0
 

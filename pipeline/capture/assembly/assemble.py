@@ -10,8 +10,8 @@ from pipeline.capture.assembly.camera_source import camera_table
 from pipeline.capture.camera_files.table import CameraTable, cameras_of_views
 from pipeline.capture.config import CaptureConfig
 from pipeline.capture.model import Capture, Polarisation, ViewSource
+from pipeline.capture.naming.beside_images import PLATES
 from pipeline.capture.naming.files import (
-    IMAGE_FOLDERS,
     PHOTO_SUFFIXES,
     check_masks,
     find_environments,
@@ -24,7 +24,6 @@ from pipeline.formats.images import channel_names
 from pipeline.geometry.cameras import Camera
 
 MAY_HOLD_ALPHA = frozenset({".png", ".tif", ".tiff", ".exr"})
-PLATES = ("clean_plate", "clean_plates", "background", "backgrounds")
 
 
 @dataclass(frozen=True)
@@ -114,10 +113,3 @@ def folder_camera(paths: tuple[Path, ...], folder: Path, config: CaptureConfig) 
     parts = paths[0].relative_to(folder).parts[:-1]
     named = [p for p in parts if p in config.polarisers]
     return named[0] if named else "camera"
-
-
-def outside_images(path: Path) -> bool:
-    """Whether a folder's name says that it holds no pictures of views."""
-    return (
-        path.name.lower() in {"masks", "mask", "gt", "envmaps", "sparse", "colmap", *PLATES} and path.name not in IMAGE_FOLDERS
-    )

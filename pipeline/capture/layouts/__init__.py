@@ -19,7 +19,7 @@ MODULES = (
     "pandora",
     "rmvp3d",
     "smvp3d",
-    "transforms",
+    "nerfstudio",
     "one_light_a_picture",
     "two_camera",
     "angle_stack",

@@ -5,13 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from pipeline.capture.assembly.assemble import PLATES, Pictures, assemble, folder_camera, outside_images
+from pipeline.capture.assembly.assemble import Pictures, assemble, folder_camera
 from pipeline.capture.assembly.camera_source import camera_table
 from pipeline.capture.assembly.sources import Sources, discover
 from pipeline.capture.camera_files.table import stem_parts
 from pipeline.capture.config import CaptureConfig
 from pipeline.capture.layouts import Layout
 from pipeline.capture.model import Capture, Polarisation
+from pipeline.capture.naming.beside_images import is_beside, outside_images
 from pipeline.capture.naming.files import (
     IMAGE_SUFFIXES,
     RAW_SUFFIXES,
@@ -24,7 +25,7 @@ from pipeline.capture.naming.files import (
 )
 from pipeline.capture.naming.grouping import Group
 from pipeline.capture.recognition.one_framing import changes_light
-from pipeline.capture.recognition.stray_files import sort_out
+from pipeline.capture.recognition.stray_files import folder_of_products, sort_out
 from pipeline.errors import UserError
 from pipeline.formats.bare_arrays import ARRAY_SUFFIXES
 
@@ -50,7 +51,7 @@ def pictures(root: Path, config: CaptureConfig) -> Pictures:
     found = list_images(folder)
     if folder == root:
         plate = root / config.clean_plate if config.clean_plate else None
-        found = [p for p in found if not _aside(p, root) and p != plate and plate not in p.parents]
+        found = [p for p in found if not is_beside(p, root) and p != plate and plate not in p.parents]
     if not found:
         raise UserError(folder, "holds no image", "copy the photographs into it")
     table, warned = camera_table(root, folder)
@@ -69,11 +70,6 @@ def _raw_twins(root: Path, folder: Path, kept: list[Path]) -> list[str]:
         return []
     warned = f"{other}: {count(stems, 'camera raw file')} of the pictures in {folder.name}/ are not used"
     return [f"{warned}; for linear light move them into {folder.name}/ (their JPEGs are then left out)"]
-
-
-def _aside(path: Path, root: Path) -> bool:
-    """Whether a file below a capture without image folder lies where no views do, or is a clean plate."""
-    return path.stem in PLATES or any(outside_images(p) for p in path.parents if p != root and p.is_relative_to(root))
 
 
 def read(root: Path, config: CaptureConfig) -> Capture:
@@ -97,6 +93,9 @@ def read_as(root: Path, config: CaptureConfig, layout: str, kind: str) -> Captur
     polarisation = "stokes" if sources.holds_stokes else "polarisers" if config.polarisers else "none"
     capture = assemble(root, layout, config, folder, sources.views, polarisation, facts=sources.facts, table=table, look=False)
     warnings = [*found.warnings, *sources.warnings, *capture.warnings]
+    if folder == root and all(folder_of_products(p, root) for p in found.paths):
+        where, doubt = found.paths[0].parent, "its name says that it holds no photographs, and there are no others"
+        warnings.append(f"{where}: {doubt}; check that these are the views")
     if sources.unnamed and table is not None:
         names = f"{count(sources.unnamed, 'view')} ({some(p.name for p in sources.unnamed)})"
         warnings.append(f"{table.path}: no camera for {names}; left out: check the names in both")

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 
 from pipeline.capture.assembly.camera_source import camera_table
-from pipeline.capture.camera_files.nerf_tables import load_frames, table_files
+from pipeline.capture.camera_files.transforms_json import load_frames, table_files
 from pipeline.capture.light_stage.folders import camera_number
 from pipeline.errors import UserError
 from pipeline.geometry.cameras import Camera, camera_from_frame

@@ -17,6 +17,7 @@ from pipeline.capture.naming.files import IMAGE_FOLDERS, RAW_SUFFIXES, some
 from pipeline.errors import UserError
 from pipeline.formats.images import image_size
 
+MAPS = "ground truth and maps"
 KINDS: Mapping[str, str] = {
     "previews and thumbnails": "preview previews thumb thumbs thumbnail thumbnails proxy proxies contactsheet screenshot eadir",
     "polarisation products (DoLP, AoLP, Stokes or unpolarised pictures)": (
@@ -30,7 +31,7 @@ KINDS: Mapping[str, str] = {
         "dark darkframe darks darkframes flat flatfield flats flatfields bias blackframe blackframes"
     ),
     "masks": "mask masks matte mattes silhouette silhouettes segmentation trimap",
-    "ground truth and maps": "gt groundtruth normal normals normalmap depth depths depthmap disparity albedo roughness",
+    MAPS: "gt groundtruth normal normals normalmap depth depths depthmap disparity albedo roughness",
 }
 """What a word in a name says of a file."""
 WORDS = {word: kind for kind, words in KINDS.items() for word in words.split()}
@@ -97,6 +98,12 @@ def telling_word(path: Path, folder: Path) -> str | None:
             if found:
                 return min(found, key=lambda word: word in WEAK)
     return None
+
+
+def folder_of_products(path: Path, root: Path) -> bool:
+    """Whether a folder between a file and `root` is named after previews, masks, maps or other products of images."""
+    words = [word for part in path.relative_to(root).parts[:-1] for word in words_of(part) if word in WORDS]
+    return any(word not in WEAK or WORDS[word] == MAPS for word in words)
 
 
 def _stands_apart(named: Mapping[Path, str], plain: list[Path]) -> bool:

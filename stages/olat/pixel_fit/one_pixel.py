@@ -17,7 +17,6 @@ from stages.olat.pixel_fit.form_evidence import doubt
 from stages.olat.pixel_fit.gradient_illumination import gradient_maps
 from stages.olat.pixel_fit.light_visibility import behind, diffuse_maps, printed_maps, specular_maps
 from stages.olat.pixel_fit.lobe_fit import fit_lobe, linear_albedo, round_start
-from stages.olat.pixel_fit.one_pass import diffuse_normal, leave_specular
 from stages.olat.pixel_fit.paper_forms import correlation, correlation_normal, gradient_direction, lambert, remove_all
 from stages.olat.pixel_fit.result_layout import (
     ALBEDO_D,
@@ -49,6 +48,7 @@ from stages.olat.pixel_fit.uncertainty import (
     direction_deviation,
     strong,
 )  # fmt: skip
+from stages.olat.pixel_fit.unseparated import diffuse_normal, leave_specular
 
 GAUSSIAN = 1.22  # of the deviation of Gaussian residuals under the diffuse fit's weights: they have 0.82 of it
 MOST_UNSURE = 10.0  # relative standard deviation above which nothing is known

@@ -19,7 +19,7 @@ class PixelLight(Occlusion):
 
 
 @dataclass(frozen=True)
-class LocalLight(PixelLight):
+class GridLight(PixelLight):
     """GridMap's: the irradiance follows the normal in first order, so that shading still turns normals, and nothing else.
 
     normal [P, 3]: where it was looked up; slope [P, 3 (of the normal), 3 (rgb)]: its change with it.

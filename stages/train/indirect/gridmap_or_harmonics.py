@@ -20,7 +20,7 @@ from ..splats.gaussians import ROUGHNESS_FLOOR, Splats
 from ..splats.splat_occlusion import LIFT, CarriedHull
 from ..views.view import View
 from .harmonics import towards_mirror
-from .pixel_light import LearntLight, LocalLight
+from .pixel_light import GridLight, LearntLight
 
 GRIDMAP_EVERY = 300  # steps between two of them (PhyGaP 9.4)
 TILT = 0.05  # of a normal, by which the irradiance's slope is taken: half a texel of the diffuse level
@@ -90,7 +90,7 @@ class LocalEnvironments(Substitute):
         if not follows:
             return Occlusion(shadow, bounced, unblocked, seen)
         slope = everywhere(torch.as_tensor(self._slope(weight, normals, found.bounced.numpy())))
-        return LocalLight(shadow, bounced, unblocked, seen, everywhere(torch.as_tensor(normals)), slope)
+        return GridLight(shadow, bounced, unblocked, seen, everywhere(torch.as_tensor(normals)), slope)
 
     def _slope(self, weight: np.ndarray, normal: np.ndarray, here: np.ndarray) -> np.ndarray:
         """Change [P, 3, 3] of the irradiance with the normal, across it; weight [P, A]: of the anchors."""

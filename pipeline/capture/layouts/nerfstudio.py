@@ -9,7 +9,7 @@ from typing import Any
 
 from pipeline.capture.assembly.assemble import all_have_alpha, find_plates
 from pipeline.capture.assembly.sources import discover
-from pipeline.capture.camera_files.nerf_tables import FILE, NerfFrame, captures_below, held_out, load_frames, table_files
+from pipeline.capture.camera_files.transforms_json import FILE, NerfFrame, captures_below, held_out, load_frames, table_files
 from pipeline.capture.config import CaptureConfig
 from pipeline.capture.layouts import Layout
 from pipeline.capture.model import Capture, Polarisation, ViewSource

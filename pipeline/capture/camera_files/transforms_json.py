@@ -8,7 +8,8 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from pipeline.capture.camera_files.table import entries_of, stem_parts
-from pipeline.capture.naming.files import IMAGE_SUFFIXES, image_folder, list_images, subfolders
+from pipeline.capture.naming.beside_images import images_by_name
+from pipeline.capture.naming.files import IMAGE_SUFFIXES, image_folder, subfolders
 from pipeline.capture.recognition.stray_files import sort_out
 from pipeline.errors import UserError
 from pipeline.formats.json_file import read_json
@@ -106,7 +107,7 @@ def existing(path: Path) -> Path:
 def _by_name(base: Path, frames: list[NerfFrame]) -> list[NerfFrame]:
     """Frames whose paths are another machine's (or another folder's), matched with the capture's images by name."""
     folder = image_folder(base)
-    images = sort_out(list_images(folder), folder).kept
+    images = sort_out(images_by_name(base, folder), folder).kept
     names = [f.entry["file_path"] for f in frames]
     found = entries_of(names, {p.as_posix(): (p,) for p in images}, folder)
     by_entry = {index: Path(name) for name, index in found.items()}
