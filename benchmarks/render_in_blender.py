@@ -3,7 +3,7 @@
     python render_in_blender.py JOB.json
 
 JOB: {"asset": folder, "file": "blender.py" | "asset.glb" | "asset.usdz" | "asset.obj", "environment": map, "samples": n,
-"views": [{"matrix": 4x4 camera-to-asset (OpenGL axes, y up), "fx", "fy", "cx", "cy", "width", "height", "out": picture.exr}]}
+"seed": n, "views": [{"matrix": 4x4 camera-to-asset (OpenGL axes, y up), "fx", "fy", "cx", "cy", "width", "height", "out": picture.exr}]}
 """
 
 import importlib.util
@@ -68,6 +68,7 @@ def main():
     scene.render.engine = "CYCLES"
     scene.cycles.samples, scene.cycles.use_denoising = job["samples"], False
     scene.cycles.max_bounces = 4
+    scene.cycles.seed = job.get("seed", 0)
     scene.cycles.sample_clamp_indirect = 0
     scene.render.filter_size = 1.0
     scene.cycles.pixel_filter_type = "BOX"

@@ -1,7 +1,8 @@
 """What the stages would warn of, from a look at a capture's own pixels, cameras and masks before anything long runs.
 
 The stages that only read (decode, poses with given cameras, masks that are given, and the light stage's evidence) run as they
-are, on the whole of a small capture or on a few views of a large one, into a folder that is deleted.
+are (of masks that have to be made, what the cameras alone tell), on the whole of a small capture or on a few views of a large
+one, into a folder that is deleted.
 """
 
 from __future__ import annotations
@@ -135,6 +136,8 @@ def _task(capture: Capture, step: Step, whole: bool) -> tuple[Task, Any] | None:
         return run, replace(parameters, triangulate=False)
     if name == "masks" and (whole if capture.kind == "light_stage" else _masks_are_given(capture, parameters)):
         return run, parameters
+    if name == "masks" and capture.kind == "multiview" and capture.cameras is not None:
+        return _look_at_cameras, parameters
     if name == "relight":
         return _look_at_maps, parameters
     if name == "olat" and whole:
@@ -142,6 +145,12 @@ def _task(capture: Capture, step: Step, whole: bool) -> tuple[Task, Any] | None:
 
         return check_early, parameters
     return None
+
+
+def _look_at_cameras(run: StageRun) -> None:
+    from stages.masks.run import say_if_one_sided
+
+    say_if_one_sided(run)
 
 
 def _look_at_maps(run: StageRun) -> None:

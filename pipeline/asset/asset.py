@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from .bake import Textured
 from .blender import write_blender
 from .glb import write_glb
+from .lobes import GGX
 from .materialx import write_materialx
 from .mitsuba import write_mitsuba
 from .obj import write_obj
@@ -37,8 +38,8 @@ CANNOT: dict[str, list[str]] = {
     ],
     "asset.usdz": ["polarisation", "more than 8 bits", "an index of refraction that varies (its median is kept)"],
     "asset.mtlx": ["polarisation", "the mesh: it is a material"],
-    "asset.obj": ["polarisation", "an index of refraction that varies (its median is kept)", "occlusion"],
-    "asset.xml": ["an index of refraction that varies: its largest is kept, and the mirrored light is scaled"],
+    "asset.obj": ["polarisation", "an index of refraction that varies: its largest is kept, and map_Ks scales it", "occlusion"],
+    "asset.xml": ["an index of refraction that varies: its median is kept, and the mirrored light is scaled"],
     "blender.py": ["polarisation"],
 }
 
@@ -52,6 +53,7 @@ def write_asset(
     environment: NDArray[np.float32] | None = None,
     facts: dict[str, Any] | None = None,
     done: Callable[[int], None] = lambda count: None,
+    lobe: str = GGX,
 ) -> None:
     """Write a textured surface in every format, with asset.json.
 
@@ -64,12 +66,13 @@ def write_asset(
         environment: light to start with, latitude-longitude, y up. [H, W, 3]
         facts: more entries of asset.json.
         done: told of each file.
+        lobe: in which the roughness was fitted ("ggx", "beckmann", ...).
 
     Raises:
         UserError: a file cannot be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    asset = in_metres(surface, up, unit_m)
+    asset = in_metres(surface, up, unit_m, lobe)
     names = write_textures(folder / "textures", asset.maps)
     writers: Sequence[Callable[[], None]] = (
         lambda: write_obj(folder, asset, names),
@@ -95,6 +98,7 @@ def write_asset(
         "texel_m" if unit_m else "texel": surface.texel * (unit_m or 1.0),
         "guessed_share": round(surface.guessed, 5),
         "ior": round(asset.ior, 4),
+        "lobe": lobe,
         "triangles": len(asset.faces),
         "textures": {name: f"textures/{name}.png" for name in names},
         "cannot_carry": CANNOT,

@@ -15,7 +15,6 @@ from .anisotropy import in_gltf
 from .surface import Asset
 
 LINEAR, LINEAR_MIPMAP, REPEAT = 9729, 9987, 10497
-FLAT = 1e-3  # a map that varies by less is a number
 
 
 def write_glb(path: Path, asset: Asset) -> None:
@@ -45,17 +44,16 @@ def write_glb(path: Path, asset: Asset) -> None:
 def _material(asset: Asset, parts: GltfParts) -> tuple[dict[str, Any], list[str]]:
     """The material, and the extensions that it uses."""
     m = asset.maps
-    roughness, strength = in_gltf(m["roughness"], m["anisotropy"]) if "anisotropy" in m else (m["roughness"], None)
+    roughness, strength = m[asset.roughness_name], None
+    if "anisotropy" in m:
+        roughness, strength = in_gltf(roughness, m["anisotropy"])
     packed = np.concatenate([m["occlusion"], roughness, np.zeros_like(roughness)], -1)
     orm = parts.image(packed, "occlusion_roughness_metallic")
-    seen = m["coverage"][..., 0] > 0
-    reflectance = np.where(seen[..., None], m["specular"], np.median(m["specular"][seen]))
-    most = float(reflectance.max())
-    root = np.sqrt(most)
-    extensions: dict[str, Any] = {"KHR_materials_ior": {"ior": float((1 + root) / (1 - root))}}
-    if float(np.ptp(reflectance)) > FLAT * most:
-        share = np.repeat(srgb_encode(reflectance / most), 3, -1)
-        extensions["KHR_materials_specular"] = {"specularColorTexture": {"index": parts.image(share, "specular_color")}}
+    ior, share = asset.reflectance()
+    extensions: dict[str, Any] = {"KHR_materials_ior": {"ior": ior}}
+    if share is not None:
+        colour = np.repeat(srgb_encode(share), 3, -1)
+        extensions["KHR_materials_specular"] = {"specularColorTexture": {"index": parts.image(colour, "specular_color")}}
     if strength is not None:
         direction = np.concatenate([m["anisotropy_direction"] * 0.5 + 0.5, strength], -1)
         texture = {"index": parts.image(direction, "anisotropy")}

@@ -16,7 +16,7 @@ def write_materialx(path: Path, asset: Asset, maps: Sequence[str]) -> None:
     graph = xml.SubElement(document, "nodegraph", name="polarfield_textures")
     inputs = {
         "base_color": ("base_color", "color3"),
-        "specular_roughness": ("roughness", "float"),
+        "specular_roughness": (asset.roughness_name, "float"),
         "specular_ior": ("ior", "float"),
     }
     if "anisotropy" in maps:

@@ -9,21 +9,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.formats.images import write_exr, write_rgb
+from pipeline.optics.fresnel import normal_reflectance
 
+from .lobes import GGX
 from .surface import Asset
 
 STEP = 1.1
 """Ratio of the roughnesses of two lobes that are mixed for what lies between: the mean's peak is 2 % over the middle lobe's."""
 MOST_LOBES = 8
 LEAST = 0.01  # roughness
-FLAT = 0.01  # of roughness, and of reflectance relative to its largest: less variation is none
+FLAT = 0.01  # of roughness: less variation is none
 LOBE = """<bsdf type="pplastic">
       <texture name="diffuse_reflectance" type="bitmap"><string name="filename" value="textures/albedo.exr"/></texture>
       {specular}
       <float name="int_ior" value="{ior:.5f}"/>
       <float name="ext_ior" value="1"/>
       <float name="alpha" value="{alpha:.5f}"/>
-      <string name="distribution" value="ggx"/>
+      <string name="distribution" value="{distribution}"/>
     </bsdf>"""
 NUMBERS = """<texture name="{name}" type="bitmap">
       <string name="filename" value="textures/{file}.exr"/>
@@ -95,13 +97,13 @@ def _lobes(textures: Path, asset: Asset) -> str:
     low = max(low, LEAST)
     count = 1 if high - low < FLAT else min(MOST_LOBES, 2 + int(np.log(high / low) / np.log(STEP)))
     nodes = np.geomspace(low, high, count) if count > 1 else np.array([(low + high) / 2])
-    reflectance = np.where(seen, asset.maps["specular"][..., 0], np.median(asset.maps["specular"][..., 0][seen]))
-    most = float(reflectance.max())
-    root, specular = np.sqrt(most), ""
-    if np.ptp(reflectance) > FLAT * most:
-        write_exr(textures / "mitsuba_specular.exr", {"Y": (reflectance / most).astype(np.float32)}, half=True)
+    (largest, share), specular = asset.reflectance(), ""
+    if share is not None:  # above 1 where the index is; the body's transmission is that of the median
+        relative = share[..., 0] * (float(normal_reflectance(np.float64(largest)) / normal_reflectance(np.float64(asset.ior))))
+        write_exr(textures / "mitsuba_specular.exr", {"Y": relative}, half=True)
         specular = NUMBERS.format(name="specular_reflectance", file="mitsuba_specular")
-    lobes = [LOBE.format(specular=specular, ior=(1 + root) / (1 - root), alpha=r**2) for r in nodes]
+    shape = {"ior": asset.ior, "distribution": GGX if asset.lobe == GGX else "beckmann"}
+    lobes = [LOBE.format(specular=specular, alpha=r**2, **shape) for r in nodes]
     mixed = lobes[0]
     for k, (below, above, lobe) in enumerate(zip(nodes, nodes[1:], lobes[1:])):
         share = np.clip((roughness - below) / (above - below), 0, 1)

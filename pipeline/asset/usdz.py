@@ -40,7 +40,7 @@ def _write_pictures(folder: Path, asset: Asset) -> dict[str, str]:
     """8-bit PNG by map: USDZ of 2024 takes no 16-bit ones everywhere."""
     m = asset.maps
     images = {"base_color": srgb_encode(m["base_color"]), "normal": m["normal"] * 0.5 + 0.5}
-    images |= {"roughness": m["roughness"], "occlusion": m["occlusion"]}
+    images |= {"roughness": m[asset.roughness_name], "occlusion": m["occlusion"]}
     for name, image in images.items():
         write_png(folder / f"{name}.png", image)
     return {name: f"{name}.png" for name in images}

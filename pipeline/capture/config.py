@@ -7,6 +7,7 @@ through untouched: the stage checks them against its own parameters.
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -176,6 +177,7 @@ def _check(config: CaptureConfig, path: Path) -> None:
     refuse(config.up is not None and config.up not in UP_AXES, "up", config.up, f"one of {', '.join(UP_AXES)}")
     refuse(config.unit_m is not None and config.unit_m <= 0, "unit_m", config.unit_m, "above 0")
     _check_poses(config.poses, refuse)
+    _check_angles(config, refuse)
     refuse(config.stokes.scale <= 0, "stokes.scale", config.stokes.scale, "a factor above 0")
     radiometry = config.radiometry
     refuse(
@@ -216,6 +218,20 @@ def _check(config: CaptureConfig, path: Path) -> None:
     for name, polariser in config.polarisers.items():
         extinction = polariser.extinction
         refuse(extinction is not None and extinction <= 1, f"polarisers.{name}.extinction", extinction, "above 1")
+
+
+def _check_angles(config: CaptureConfig, refuse: Callable[[bool, str, object, str], None]) -> None:
+    """Angles that are all multiples of 15 degrees in radians are no degrees."""
+    polarisers = {name: p.angle_deg for name, p in config.polarisers.items() if p.angle_deg is not None}
+    for key, angles in (("stack.angles_deg", config.stack.angles_deg), ("polarisers", polarisers)):
+        turned = [abs(a) for a in angles.values() if a]
+        steps = [a / math.radians(15) for a in turned]
+        written = bool(turned) and max(turned) <= 2 * math.pi and all(abs(s - round(s)) < ROUNDED for s in steps)
+        refuse(written, key, {name: float(a) for name, a in angles.items()}, "in degrees: these are radians")
+
+
+ROUNDED = 0.012
+"""Of 15 degrees in radians: what two digits after the point leave open, 0.003."""
 
 
 def _check_poses(poses: PosesConfig, refuse: Callable[[bool, str, object, str], None]) -> None:

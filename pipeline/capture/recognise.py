@@ -11,10 +11,10 @@ from pipeline.capture.layouts import all_layouts
 from pipeline.capture.model import Capture
 from pipeline.capture.naming.files import refuse_duplicates
 from pipeline.capture.naming.safe_names import refuse_special_files
-from pipeline.capture.recognition.foreign import foreign_warnings, lost_links, refuse_unreadable
+from pipeline.capture.recognition.foreign import foreign_warnings, lost_links, refuse_unreadable, refuse_without_pictures
 from pipeline.capture.recognition.idle_tables import refuse_idle_tables
 from pipeline.errors import UserError
-from pipeline.geometry.camera_check import refuse_one_place
+from pipeline.geometry.camera_check import one_pose_words, refuse_one_place
 
 SHOWN = 12
 """Entries of an unknown folder that its error message lists."""
@@ -58,6 +58,7 @@ def open_capture(path: Path | str) -> Capture:
         if layout.recognise(root):
             return _checked(layout.read(root, config))
     refuse_unreadable(root)
+    refuse_without_pictures(root)
     looked = "; ".join(f"{layout.name}: {layout.looks_like}" for layout in layouts)
     found = ", ".join(entries[:SHOWN]) + (f" and {len(entries) - SHOWN} more" if len(entries) > SHOWN else "")
     raise UserError(
@@ -73,4 +74,5 @@ def _checked(capture: Capture) -> Capture:
     if capture.kind == "multiview" and capture.cameras:
         refuse_one_place(capture.cameras, capture.camera_file)
     refuse_idle_tables(capture)
-    return replace(capture, warnings=(*capture.warnings, *foreign_warnings(capture), *lost_links(capture.root)))
+    twins = one_pose_words(capture.cameras, capture.camera_file) if capture.kind == "multiview" and capture.cameras else []
+    return replace(capture, warnings=(*capture.warnings, *twins, *foreign_warnings(capture), *lost_links(capture.root)))

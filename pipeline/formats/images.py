@@ -70,7 +70,7 @@ def open_whole(path: Path, unassociated: bool = False) -> Any:
     refuse_garbled_name(path)
     if path.stat().st_size == 0:
         raise UserError(path, "the file is empty (0 bytes)", "copy it again from its source")
-    if path.suffix.lower() == ".png":
+    if path.suffix.lower() in (".png", ".jpg", ".jpeg"):
         refuse_truncated(path)
     if path.suffix.lower() in ARRAY_SUFFIXES:
         return open_array(path)

@@ -9,6 +9,7 @@ from typing import BinaryIO
 from pipeline.errors import UserError
 
 PNG_END = b"IEND"
+START_OF_SCAN, END_OF_IMAGE = 0xDA, b"\xff\xd9"
 TAIL = 1 << 16
 """Bytes at a PNG's end in which its last chunk is looked for: some programs add a few of their own after it."""
 OFFSETS_OF = {273: 279, 324: 325}
@@ -34,7 +35,7 @@ def refuse_blank(path: Path) -> None:
 
 
 def refuse_truncated(path: Path) -> None:
-    """Refuse a PNG, TIFF or DNG that ends before its pixels do; other files pass.
+    """Refuse a PNG, JPEG, TIFF or DNG that ends before its pixels do; other files pass.
 
     Args:
         path: the file, which exists.
@@ -48,12 +49,32 @@ def refuse_truncated(path: Path) -> None:
         if head == b"\x89PNG\r\n\x1a\n":
             file.seek(max(0, size - TAIL))
             short = PNG_END not in file.read()
+        elif head[:3] == b"\xff\xd8\xff":
+            short = not _jpeg_ends(file)
         elif head[:4] in (b"II*\0", b"MM\0*"):
             short = tiff_end(file, head, size) > size
         else:
             return
     if short:
         raise UserError(path, f"the file is truncated ({size} bytes)", "copy it again from its source")
+
+
+def _jpeg_ends(file: BinaryIO) -> bool:
+    """Whether an end of image follows a JPEG's samples, which libjpeg fills up with grey otherwise. True where its segments
+    are not understood: its reader says why. A thumbnail's own end lies in a segment before, and programs add to the file's."""
+    file.seek(2)
+    while True:
+        head = file.read(4)
+        while head[:2] == b"\xff\xff":  # any number of these may stand before a marker
+            head = head[1:] + file.read(1)
+        if len(head) < 4:
+            return False
+        if head[0] != 0xFF:
+            return True
+        length = struct.unpack(">H", head[2:])[0]
+        file.seek(length - 2, 1)
+        if head[1] == START_OF_SCAN:
+            return END_OF_IMAGE in file.read()
 
 
 def tiff_end(file: BinaryIO, head: bytes, size: int) -> int:

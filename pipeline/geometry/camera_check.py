@@ -12,8 +12,11 @@ from pipeline.errors import UserError
 
 ROTATION_TOLERANCE = 0.01
 """Of R Rᵀ - 1: files that round to three digits pass, a scale of one percent does not."""
-SHORTEST_FOCAL = 0.01
-"""Of the longer side: a pinhole would see 179 degrees; it is a focal length in other units, such as image widths."""
+SHORTEST_FOCAL = 0.05
+"""Of the longer side: a pinhole would see 169 degrees; it is a focal length in other units, such as millimetres or widths."""
+CORNER, FAR_CORNER = 1.0, 0.01
+"""Pixels from the first corner in both directions, where a principal point is missing or in parts of the image; and part of the
+size from the last, where it is of an image twice as large."""
 FURTHEST_CENTRE = 10.0
 """Image sizes: crops keep their lens's principal point, but not so far away."""
 FURTHEST_PLACE = 1e12
@@ -25,6 +28,8 @@ SAME_PLACE = 1e-9
 class CameraLike(Protocol):
     """What is checked of a `cameras.Camera`."""
 
+    @property
+    def name(self) -> str: ...
     @property
     def width(self) -> int: ...
     @property
@@ -91,6 +96,12 @@ def _fault(camera: CameraLike) -> tuple[str, str]:
         return f"the principal point {_listed(numbers[2:])} is far off the {camera.width}x{camera.height} image", (
             "give it in pixels from the image's top left corner"
         )
+    first = min(camera.cx, camera.cy) >= 0 and max(camera.cx, camera.cy) <= CORNER < min(camera.width, camera.height) / 2
+    last = max(abs(camera.cx / camera.width - 1), abs(camera.cy / camera.height - 1)) < FAR_CORNER
+    if first or last:
+        return f"the principal point {_listed(numbers[2:])} is a corner of the {camera.width}x{camera.height} image", (
+            "give it in pixels of this image from its top left corner, usually half of the size"
+        )
     turn = pose[:3, :3]
     if np.abs(turn @ turn.T - np.eye(3)).max() > ROTATION_TOLERANCE or np.linalg.det(turn) < 0:
         return "the 3x3 part of its matrix is no rotation", "take scale and mirroring out of it"
@@ -101,6 +112,28 @@ def _fault(camera: CameraLike) -> tuple[str, str]:
 
 def _listed(numbers: Iterable[float]) -> str:
     return ", ".join(f"{x:g}" for x in numbers)
+
+
+def one_pose_words(cameras: Mapping[str, CameraLike], path: str | Path) -> list[str]:
+    """A warning where views of one physical camera stand at the same place and look the same way.
+
+    Args:
+        cameras: by view.
+        path: their file.
+
+    Returns:
+        The line, or nothing.
+    """
+    seen: dict[tuple[str, bytes], str] = {}
+    pairs = []
+    for view, camera in sorted(cameras.items()):
+        first = seen.setdefault((camera.name, np.asarray(camera.world_to_camera, float).tobytes()), view)
+        if first != view:
+            pairs.append(f"{first} and {view}")
+    if not pairs:
+        return []
+    more = f" and {len(pairs) - 1} more pairs" if len(pairs) > 1 else ""
+    return [f"{path}: {pairs[0]}{more} have one pose, to the last digit: check that each view has its own"]
 
 
 FEWEST_TO_JUDGE = 8
@@ -121,5 +154,8 @@ def refuse_one_place(cameras: Mapping[str, CameraLike], path: str | Path) -> Non
         return
     centres = np.stack([camera.centre for camera in cameras.values()])
     if np.ptp(centres, axis=0).max() <= SAME_PLACE * max(1.0, float(np.abs(centres).max())):
-        remedy = "give each view its own pose, or remove them to have them found"
+        remedy = (
+            "give each view its own pose (are these matrices from world to camera, where camera to world is meant?), or remove "
+            "them to have them found"
+        )
         raise UserError(path, f"all {len(cameras)} cameras stand at one place", remedy)

@@ -103,7 +103,11 @@ def refuse_two_worlds(stage: StageRun, masks: dict[str, NDArray[np.uint8]]) -> N
 
 
 def say_if_one_sided(stage: StageRun) -> None:
-    """A line where the cameras do not go around the object, or leave a side of it unseen."""
+    """A line where the cameras do not go around the object, or leave a side of it unseen.
+
+    Args:
+        stage: the run whose cameras are looked at.
+    """
     from stages.masks.doubts import one_sided
     from stages.masks.inputs import cameras_of
     from stages.masks.unseen_side import unseen_side

@@ -39,6 +39,6 @@ def run(run: StageRun) -> None:
 
 
 STAGE = Stage(
-    "mesh", 8, MeshParameters, ("decode", "poses", "masks", "olat", "train"), needed, run, config=("up", "unit_m"),
+    "mesh", 9, MeshParameters, ("decode", "poses", "masks", "olat", "train"), needed, run, config=("up", "unit_m"),
     memory=memory_estimate.mesh, costs=time_estimate.mesh, parallel=0.2,
 )  # fmt: skip

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from pipeline.asset.asset import write_asset
 from pipeline.asset.bake import bake
+from pipeline.asset.lobes import GGX
 from pipeline.asset.photo_detail import CapturedLight, photo_detail
 from pipeline.asset.views import PropertyView
 from pipeline.engine.stage import StageRun
@@ -44,7 +45,8 @@ def write_textured(run: StageRun, mesh: Mesh, views: Views, footprint: float) ->
     with run.progress.bar("asset", total=FILES, unit="files") as bar:
         facts = {"detail": "photographs" if seen.has_photographs else "model"}
         unit_m = run.capture.config.unit_m
-        write_asset(run.output / files.ASSET, surface, run.capture.up, unit_m, offset, environment, facts, bar.advance)
+        folder, up = run.output / files.ASSET, run.capture.up
+        write_asset(folder, surface, up, unit_m, offset, environment, facts, bar.advance, seen.lobe)
     height, width = surface.maps["albedo"].shape[:2]
     run.note("texture_size", [width, height])
     run.note("texture_guessed", surface.guessed)
@@ -60,6 +62,7 @@ class TrainedViews:
         facts = json.loads((train / files.LIGHTING).read_text()) if (train / files.LIGHTING).exists() else {}
         known = {key: facts[key] for key in ("lobe", "fresnel") if key in facts}
         lit = frames is not None and (train / files.ENVIRONMENT).exists()
+        self.lobe = str(facts.get("lobe", GGX))
         self._light = CapturedLight(read_image(train / files.ENVIRONMENT, RGB), facts.get("up", up), **known) if lit else None
         self._blur = resolution_px(train / files.GAUSSIANS, footprint)
         self._kept: dict[str, tuple[NDArray, NDArray]] = {}

@@ -87,5 +87,7 @@ def _surface_term(p: TrainParameters, scene: Scene, rendered: Rendered) -> tuple
     """Agreement of normals with positions and smoothness over the surface graph: their sum, and the parts [5]."""
     splats, smooth = rendered.splats, p.weight_smooth
     offsets = torch.stack([scene.model["roughness_offset"], scene.model["ior_offset"]], -1)
+    if scene.groups is not None:
+        offsets = scene.groups.held(offsets)  # what splats of one colour share is a material of its own
     weights = SurfaceWeights(p.weight_depth_normal, smooth, ALBEDO_SHARE * smooth, smooth, OFFSET_SIZE_SHARE * smooth)
     return surface_loss(scene.linked(), splats.means, splats.normals, splats.albedo, offsets, weights)

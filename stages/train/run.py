@@ -24,6 +24,7 @@ from .initialise.points import read_points
 from .parameters import TrainParameters
 from .results import finish_polarisers, openings_share, say_lost_gradients, say_what_is_unexplained, write_results
 from .setup import NO_POINTS, Start, prepare_training
+from .splats.closing import close_holes
 from .trainer import Trainer
 from .training_loop import optimise
 from .views.source_views import SourceView, load_sources
@@ -47,6 +48,7 @@ def train(stage: StageRun) -> None:
     backend = "cpu" if stage.device == "cpu" else "cuda"
     trainer = Trainer(start.scene, start.pyramids, mode, start.frame, parameters, backend)
     history = optimise(trainer, stage, started)
+    closed = close_holes(trainer.scene.model) if openings_share(trainer) == 0 else 0
     if trainer.scene.bank is not None:
         finish_polarisers(trainer, stage)
     with torch.no_grad():
@@ -57,6 +59,7 @@ def train(stage: StageRun) -> None:
     stage.note("splats", len(trainer.scene.model))
     stage.note("iterations", trainer.iteration)
     stage.note("hollowed", [round(share, 4) for share in trainer.upkeep.hollowed])
+    stage.note("holes_closed", closed)
     stage.note("openings", round(openings_share(trainer), 5))
     checkpoint.clear(stage.scratch)
 

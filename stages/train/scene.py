@@ -11,6 +11,7 @@ from pipeline.shading import Occlusion
 
 from .initialise.hull import HullMesh
 from .log_environment import Environment
+from .material_groups import Groups, groups_of
 from .splats.gaussians import SplatModel
 from .splats.splat_occlusion import CarriedHull, SplatOcclusion, carried_hull
 from .splats.surface_graph import SurfaceGraph, build_graph
@@ -30,6 +31,7 @@ class Scene:
     hull: HullMesh  # open where openings were cut
     closed: HullMesh | None = None  # the same without cuts, where there are any
     graph: SurfaceGraph | None = None
+    groups: Groups | None = None  # of splats whose material is found together; None: one, or not looked for yet
     occluder: CarriedHull | None = None  # the hull as the last tracing found it
     splat_occlusion: SplatOcclusion | None = None  # None: the object hides next to nothing from itself, or is not traced yet
     occlusion: dict[tuple[str, int], Occlusion] = field(default_factory=dict)  # by view and pyramid level
@@ -50,6 +52,10 @@ class Scene:
     def linked(self) -> SurfaceGraph:
         """The surface graph, built where there is none."""
         return self.link_neighbours() if self.graph is None else self.graph
+
+    def regroup(self) -> None:
+        """Group the splats by their colour as it is."""
+        self.groups = groups_of(self.model)
 
     def moved(self, hull: HullMesh) -> HullMesh:
         """A start surface as the splats have moved it since."""
@@ -80,6 +86,7 @@ class Scene:
         self.hull = _as_mesh(state["hull"])
         self.closed = None if state["closed"] is None else _as_mesh(state["closed"])
         self.graph = None
+        self.groups = None
 
 
 def _as_tensors(mesh: HullMesh) -> dict[str, torch.Tensor]:

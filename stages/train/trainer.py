@@ -13,6 +13,7 @@ from pipeline.shading import Occlusion
 
 from .evaluate import validation_psnr
 from .indirect.trust import trusted
+from .material_groups import OFFSETS, GroupStep
 from .objective import loss_terms
 from .parameters import TrainParameters
 from .render_view import Rendered
@@ -21,7 +22,7 @@ from .scene import Scene
 from .schedule import Phase, epoch_order, phase_at, step_rules
 from .splats.albedo_light_scale import ScaleStep
 from .splats.optimiser import SurfaceAdam
-from .upkeep import Upkeep
+from .upkeep import LATE_FROM, Upkeep
 from .views.angle_fit import AngleFit, fit_angles
 from .views.source_views import Mode
 from .views.training_frame import SceneFrame
@@ -56,6 +57,7 @@ class Trainer:
         self.pyramids = pyramids
         self.adam = SurfaceAdam(step_rules(mode))
         self.scale_step = ScaleStep()
+        self.group_step = GroupStep()
         self.renderer = Renderer(scene, parameters, backend)
         if mode != "stokes":
             self.renderer.bounces = 1  # a third of the numbers does not bear more: roughness takes up what a second bounce adds
@@ -67,6 +69,7 @@ class Trainer:
         phase = self.phase(self.iteration)
         if self.upkeep.due(self.iteration, phase.level):
             self.upkeep.refresh(self.iteration, self.pyramids[phase.level], phase.level)
+        self.group_splats()
         if self.iteration in ANGLE_STEPS and phase.level == 0:
             self.set_unknown_angles(phase.level)
         view, occlusion = self.looked_at(self.view_at(self.iteration, phase), phase)
@@ -80,12 +83,23 @@ class Trainer:
         told = {name: value.detach() for name, value in terms.items() if name != "surface"} | surface_parts
         return dict(zip(told, torch.stack([value.double() for value in told.values()]).tolist()))  # a GPU is waited for once
 
+    def group_splats(self) -> None:
+        """Look for colours anew where the splats are others, and as often as the state is saved."""
+        if self.mode != "stokes" or self.iteration < LATE_FROM:
+            return  # a third of the numbers is not evidence enough; before, albedo means nothing yet
+        groups = self.scene.groups
+        if self.iteration % self.upkeep.period == 0 or (groups is not None and len(groups.of) != len(self.scene.model)):
+            self.scene.regroup()
+
     def update(self, rendered: Rendered, phase: Phase) -> None:
         """Move everything along the gradients that a rendering's loss has left."""
         raster, scene = rendered.gbuffer.raster, self.scene
         self.upkeep.activity.add(rendered.gbuffer.rows, raster.screen_gradient, raster.visible)
         if self.parameters.environment_activation == "exponential":
             self.scale_step.step(scene.environment.raw, scene.model["albedo"], phase.rates[""])
+        if scene.groups is not None:
+            rules = (self.adam.rules[name.removesuffix("_offset")] for name in OFFSETS)  # as fast as what all splats share
+            self.group_step.step(scene.model, scene.groups, tuple(phase.rates[""] * rule.rate for rule in rules))
         self.adam.step(scene.tensors(), phase.rates, scene.graph, phase.diffusion)
 
     def phase(self, iteration: int) -> Phase:
@@ -159,6 +173,7 @@ class Trainer:
             "scene": self.scene.state(),
             "adam": self.adam.state(),
             "scale_step": self.scale_step.state(),
+            "group_step": self.group_step.state(),
             **self.upkeep.state(),
         }
 
@@ -167,5 +182,6 @@ class Trainer:
         self.scene.load(state["scene"])
         self.adam.load(state["adam"])
         self.scale_step.load(state["scale_step"])
+        self.group_step.load(state["group_step"])
         self.upkeep.load(state)
         self.iteration = state["iteration"]

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from stages.calib.decode.write_frames import FrameRecord, _doubt_levels
+from stages.calib.decode.light_doubts import FrameRecord, doubt_light
 from stages.metrics.image_figures import displayable
 
 
@@ -24,9 +24,9 @@ from stages.metrics.image_figures import displayable
 )
 def test_doubtful_levels_are_warned_of(share, peak, words):
     said: list[str] = []
-    records = {k: FrameRecord({"saturated_fraction": share}, {}, pixels=100, peak=peak) for k in "ab"}
+    records = [FrameRecord({"saturated_fraction": share}, {}, pixels=100, peak=peak)] * 2
     stage = SimpleNamespace(capture=SimpleNamespace(root=Path("capture")), warn=said.append)
-    _doubt_levels(stage, records)
+    doubt_light(stage, records)
     assert len(said) == len(words) and all(word in line for word, line in zip(words, said))
 
 

@@ -65,9 +65,11 @@ def test_whole_sixteen_bits_and_dark_pictures_say_nothing(tmp_path, gain):
     assert mosaics(tmp_path / "dark", 12, 0.9).warnings == ()
 
 
-def test_codes_that_end_low_without_clipping_are_a_fact_to_look_at(tmp_path):
-    said = {bits: [f for f in mosaics(tmp_path / f"{bits}", bits, 2.0).facts if "_level" in f] for bits in (10, 12, 16)}
+def test_codes_that_end_low_without_clipping_are_told(tmp_path):
+    found = {bits: mosaics(tmp_path / f"{bits}", bits, gain) for bits, gain in ((10, 2.0), (12, 4.0), (16, 2.0))}
+    said = {bits: [f for f in (*capture.warnings, *capture.facts) if "_level" in f] for bits, capture in found.items()}
     assert "radiometry.white_level = 1023" in said[10][0] and "radiometry.white_level = 4095" in said[12][0] and not said[16]
+    assert [len(found[bits].warnings) for bits in (10, 12, 16)] == [0, 1, 0]  # the commonest sensors', well exposed
 
 
 def test_an_even_background_is_no_clipping():

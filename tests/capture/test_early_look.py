@@ -112,6 +112,18 @@ def test_a_side_that_no_view_sees_is_told_before_the_run_and_not_by_a_part_of_th
     assert polarfield("plan", root).warnings == []
 
 
+def test_cameras_that_look_away_are_told_where_masks_have_to_be_made(tmp_path, polarfield):
+    root = around_a_ball(tmp_path / "capture", ball.ring(8))
+    for path in (root / "masks").iterdir():
+        path.unlink()
+    assert not any("look away" in line for line in polarfield("plan", root).warnings)
+    table = json.loads((root / "transforms.json").read_text())
+    for frame in table["frames"]:  # OpenCV's axes in a table of OpenGL's
+        frame["transform_matrix"] = (np.array(frame["transform_matrix"]) @ np.diag([1, -1, -1, 1])).tolist()
+    (root / "transforms.json").write_text(json.dumps(table))
+    assert any("look away" in line for line in polarfield("plan", root).warnings)
+
+
 def test_of_a_large_capture_a_few_views_are_read(tmp_path):
     from pipeline.capture import open_capture
 

@@ -47,3 +47,11 @@ def angles_misfit(samples: NDArray[np.float32], design: NDArray[np.float64]) -> 
         return False
     size = float(np.median(np.abs(residual).max(0)[lit]))
     return size > 5 * noise and size > MISFIT * float(np.median(np.hypot(stokes[1], stokes[2])[lit]))
+
+
+def twins(samples: NDArray[np.float32]) -> bool:
+    """Whether two angles' samples [n, R, W, C] are the same in every digit, which noise alone prevents, and no plain grey."""
+    for k, picture in enumerate(samples):
+        if picture.size and np.ptp(picture) > 0 and any(np.array_equal(picture, other) for other in samples[k + 1 :]):
+            return True
+    return False

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.capture.angle_stack.checks import angles_misfit, moved, sample_noise
+from pipeline.capture.angle_stack.checks import angles_misfit, moved, sample_noise, twins
 from pipeline.capture.angle_stack.movement import edge_strength, largest_shift, registered
 from pipeline.capture.angle_stack.solve import StackSolver, design_covariance, polariser_design
 from pipeline.capture.config import CaptureConfig, PolariserConfig
@@ -33,6 +33,7 @@ MISNAMED = (
     "not turned, its zero)"
 )
 
+TWINS = "two angles are the same picture in every digit: check that the filter was turned, and that no file was copied twice"
 MIXED = "some angles are 8-bit files, taken as sRGB, and others linear: export all alike"
 
 
@@ -65,6 +66,8 @@ def read_stack(group: Group, config: CaptureConfig, polariser: PolariserConfig |
     balance(stokes, config.radiometry)
     view = DecodedView(stokes=apply_stokes_config(stokes, config.stokes), saturated=lost, design=design)
     view.covariance = design_covariance(design)
+    if twins(rows):
+        view.faults[TWINS] = 0
     if len(design) > 3:
         view.noise = sample_noise(rows, design)
         if angles_misfit(rows, design):

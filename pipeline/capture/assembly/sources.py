@@ -10,7 +10,7 @@ from pipeline.capture.assembly.loaders import colour_loader, mosaic_loader, stac
 from pipeline.capture.config import CaptureConfig, MosaicConfig
 from pipeline.capture.model import ViewSource
 from pipeline.capture.mosaic.sensor_files import mosaic_colour, refuse_colour
-from pipeline.capture.naming.files import RAW_SUFFIXES, refuse_duplicates
+from pipeline.capture.naming.files import RAW_SUFFIXES, count, refuse_duplicates, some
 from pipeline.capture.naming.grouping import Exposure, Group, group_and_rest
 from pipeline.capture.naming.pages import paged
 from pipeline.capture.pixels.stokes_files import holds_stokes, stokes_exr_loader
@@ -169,7 +169,13 @@ def _stacks(groups: list[Group], config: CaptureConfig, camera_of: Camera_of) ->
 
     inside = " (images of one file)" if any(e.page for es in usual.angles.values() for e in es) else ""
     facts = (f"stacks behind a polariser at {angles} degrees{inside}", *known.facts)
-    return Sources("stack", tuple(map(source, groups)), tuple(groups), facts, warnings=known.warnings)
+    short = [g for g in groups if len(g.angles) < len(usual.angles)]
+    warnings = list(known.warnings)
+    if short:
+        fewer = f"{count(short, 'view')} with fewer angles than the others ({some(g.view for g in short)}; others: {angles})"
+        more = "noise is larger there and wrong angles go unnoticed; check whether files are missing"
+        warnings.insert(0, f"{short[0].paths[0]}: {fewer}: {more}")
+    return Sources("stack", tuple(map(source, groups)), tuple(groups), facts, warnings=tuple(warnings))
 
 
 def _mosaics(groups: list[Group], config: CaptureConfig, camera_of: Camera_of) -> Sources:

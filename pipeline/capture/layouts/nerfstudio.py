@@ -13,7 +13,9 @@ from pipeline.capture.camera_files.transforms_json import FILE, NerfFrame, captu
 from pipeline.capture.config import CaptureConfig
 from pipeline.capture.layouts import Layout
 from pipeline.capture.model import Capture, Polarisation, ViewSource
+from pipeline.capture.naming.beside_images import is_beside
 from pipeline.capture.naming.files import (
+    IMAGE_FOLDERS,
     IMAGE_SUFFIXES,
     UNREADABLE,
     check_masks,
@@ -124,14 +126,23 @@ def pictures_of(root: Path, frames: list[NerfFrame]) -> tuple[Path, list[Path], 
     for frame in frames:
         if frame.path.suffix.lower() in UNREADABLE and frame.path.is_file():
             raise UserError(frame.path, "cannot be read", UNREADABLE[frame.path.suffix.lower()])
-    folder = common_folder(root, [f.path for f in frames])
+    folder = _image_folder(root, frames)
     there = [p for p in dict.fromkeys(f.path for f in frames) if p.is_file()]
     if apart := next((p for p in there if not p.is_relative_to(folder)), None):
         raise UserError(root, f"its frames name {apart}, which lies apart from the other images", "put all below one folder")
     if folder == root or not folder.is_dir() or not Path(os.path.normpath(folder)).is_relative_to(root):
         return folder, there, []
-    chosen = sort_out(sorted({*there, *list_images(folder)}), folder, {p.stem for p in there})
+    listed = list_images(folder)
+    if folder.name not in IMAGE_FOLDERS:
+        listed = [p for p in listed if not is_beside(p, root)]
+    chosen = sort_out(sorted({*there, *listed}), folder, {p.stem for p in there})
     return folder, chosen.kept, chosen.warnings()
+
+
+def _image_folder(root: Path, frames: list[NerfFrame]) -> Path:
+    """The folder of the frames' images, below the table's own where they all lie there."""
+    paths, home = [f.path for f in frames], frames[0].where.parent
+    return common_folder(home if all(Path(os.path.normpath(p)).is_relative_to(home) for p in paths) else root, paths)
 
 
 def mask_of(frame: NerfFrame) -> Path:

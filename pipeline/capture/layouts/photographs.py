@@ -24,7 +24,9 @@ from pipeline.capture.naming.files import (
     some,
 )
 from pipeline.capture.naming.grouping import Group
+from pipeline.capture.recognition.foreign import refuse_without_pictures
 from pipeline.capture.recognition.one_framing import changes_light
+from pipeline.capture.recognition.repeated_framing import repeated_framing_words
 from pipeline.capture.recognition.stray_files import folder_of_products, sort_out
 from pipeline.errors import UserError
 from pipeline.formats.bare_arrays import ARRAY_SUFFIXES
@@ -53,6 +55,7 @@ def pictures(root: Path, config: CaptureConfig) -> Pictures:
         plate = root / config.clean_plate if config.clean_plate else None
         found = [p for p in found if not is_beside(p, root) and p != plate and plate not in p.parents]
     if not found:
+        refuse_without_pictures(root)
         raise UserError(folder, "holds no image", "copy the photographs into it")
     table, warned = camera_table(root, folder)
     stems = {stem_parts(name)[-1] for name in table.names if stem_parts(name)} if table is not None and table.names else set()
@@ -93,6 +96,8 @@ def read_as(root: Path, config: CaptureConfig, layout: str, kind: str) -> Captur
     polarisation = "stokes" if sources.holds_stokes else "polarisers" if config.polarisers else "none"
     capture = assemble(root, layout, config, folder, sources.views, polarisation, facts=sources.facts, table=table, look=False)
     warnings = [*found.warnings, *sources.warnings, *capture.warnings]
+    if sources.kind == "colour":
+        warnings += repeated_framing_words(found.paths, folder)
     if folder == root and all(folder_of_products(p, root) for p in found.paths):
         where, doubt = found.paths[0].parent, "its name says that it holds no photographs, and there are no others"
         warnings.append(f"{where}: {doubt}; check that these are the views")

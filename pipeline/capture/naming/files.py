@@ -85,7 +85,8 @@ def _walk(folder: Path) -> Iterator[tuple[str, list[str], list[str]]]:
 
 
 def image_folder(root: Path) -> Path:
-    """The folder that VIEW names are relative to: images/ or one of its common other names, dense/0/images, else the root."""
+    """The folder that VIEW names are relative to: images/ or one of its common other names, dense/0/images, or that of the
+    only folder with pictures (an archive that was unpacked into one of its own name), else the root."""
     for name in IMAGE_FOLDERS:
         if has_images(root / name):
             return root / name
@@ -93,7 +94,10 @@ def image_folder(root: Path) -> Path:
     workspaces = [p for p in places if has_images(p / "images")]
     if workspaces:
         return max(workspaces, key=lambda p: len(list_images(p / "images"))) / "images"
-    return root
+    homes = [p for p in subfolders(root) if has_images(p)]
+    inner = next((homes[0] / name for name in IMAGE_FOLDERS if has_images(homes[0] / name)), None) if len(homes) == 1 else None
+    loose = any(p.suffix.lower() in IMAGE_SUFFIXES and not p.name.startswith(".") for p in root.iterdir())
+    return inner if inner is not None and not loose else root
 
 
 def subfolders(root: Path) -> list[Path]:
@@ -151,7 +155,9 @@ def find_masks(root: Path, views: Mapping[str, Path], folder: Path) -> tuple[dic
 
     `views` maps VIEW to its image, `folder` is the image folder. COLMAP's IMAGE.EXT.png is understood too.
     """
-    where = next((folder for folder in mask_folders(root) if has_images(folder, PHOTO_SUFFIXES)), None)
+    between = [p for p in (folder, *folder.parents) if p != root and p.is_relative_to(root) and p.name not in IMAGE_FOLDERS]
+    places = [place for home in (root, *between) for place in mask_folders(home)]
+    where = next((place for place in places if has_images(place, PHOTO_SUFFIXES)), None)
     if where is None:
         return {}, masks_under_other_names(root, views, folder)
     by_stem: dict[str, Path] = {}
@@ -176,7 +182,9 @@ def find_masks(root: Path, views: Mapping[str, Path], folder: Path) -> tuple[dic
     warnings = []
     if missing:
         fault = f"no mask for {count(missing, 'view')} ({some(missing)})"
-        warnings.append(f"{where}: {fault}; they are segmented: check the names of the masks")
+        shifted = len(set(by_stem.values())) == len(views) and len(missing) < len(views) / 2
+        doubt = " (as many masks as views: are they counted from another number, and each mask the next view's?)" * shifted
+        warnings.append(f"{where}: {fault}; they are segmented: check the names of the masks{doubt}")
     spare = len({id(p) for p in by_stem.values()}) - len(set(found.values()))
     if spare > 0:
         warnings.append(f"{where}: {spare} masks belong to no image and are ignored: check their names")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 T = TypeVar("T")
 BITS = (8, 10, 12, 14)
 """Of industrial and photographic sensors' samples."""
+COMMONEST_BITS = 12
 LOOKED_AT = 32_000_000
 """Samples whose codes are looked at before the question counts as settled."""
 LEAST_PILE = 6
@@ -56,17 +58,20 @@ def bits_used(images: Sequence[NDArray[np.uint16]]) -> int:
     return int(np.bitwise_or.reduce([np.bitwise_or.reduce(codes, axis=None) for codes in images], initial=0))
 
 
-def low_codes(used: int) -> list[str]:
-    """A fact for the user where 16-bit codes end so low that they may be of a sensor of 10 or 12 bits: dark pictures of 16 bits
-    do so as well, and nothing in them decides. used: the bitwise or of all codes."""
+def low_codes(used: int, path: Path) -> tuple[list[str], list[str]]:
+    """(warnings, facts) where 16-bit codes end so low that they may be of a sensor of 10 or 12 bits: dark pictures of 16 bits
+    do so as well, and nothing in them decides. It is a warning where they fill the upper half of 12 bits, as well exposed ones
+    of the commonest sensors do. used: the bitwise or of all codes; path: the first file."""
     bits = used.bit_length()
     likely = next((b for b in (10, 12) if b - 2 < bits <= b), None)
     if likely is None:
-        return []
-    return [
-        f"no code of these 16-bit files is above {(1 << bits) - 1}: if they are {likely}-bit codes, say "
-        f"radiometry.white_level = {(1 << likely) - 1}"
-    ]
+        return [], []
+    low = f"no code of these 16-bit files is above {(1 << bits) - 1}"
+    say = f"say radiometry.white_level = {(1 << likely) - 1}"
+    if bits < COMMONEST_BITS:
+        return [], [f"{low}: if they are {likely}-bit codes, {say}"]
+    read = "they are read as pictures of 16 bits, darker than a sixteenth"
+    return [f"{path}: {low}: {read}; if they are {likely}-bit codes {say} in capture.toml (65535 where they are not)"], []
 
 
 def moved_up(used: int) -> float | None:

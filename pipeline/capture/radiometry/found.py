@@ -14,12 +14,13 @@ from pipeline.capture.angle_stack.solve import polariser_design
 from pipeline.capture.config import CaptureConfig, RadiometryConfig
 from pipeline.capture.naming.files import RAW_SUFFIXES, count, some
 from pipeline.capture.naming.grouping import Exposure, Group
-from pipeline.capture.radiometry.code_range import bits_used, code_range, low_codes, moved_up, some_of
+from pipeline.capture.radiometry.code_range import some_of
 from pipeline.capture.radiometry.encoding import find_encoding, impossible_share, mosaic_codes, stack_codes
 from pipeline.capture.radiometry.exposure import HeaderExposure, even_out, exposure_of, read_exposure
 from pipeline.capture.radiometry.of_file import FoundRadiometry, factor_of
+from pipeline.capture.radiometry.stated_encoding import mixed_words, stated_curve, stated_words
+from pipeline.capture.radiometry.white_level import white_level
 from pipeline.errors import UserError
-from pipeline.formats.image_parts import without_alpha
 from pipeline.formats.images import open_image, srgb_decode
 
 if TYPE_CHECKING:
@@ -39,6 +40,7 @@ class Understood:
 class _Header:
     bits: int
     exposure: HeaderExposure
+    curve: str | None = None
 
 
 def understand(groups: Sequence[Group], config: CaptureConfig, kind: str, bayer: bool = False) -> Understood:
@@ -66,12 +68,16 @@ def understand(groups: Sequence[Group], config: CaptureConfig, kind: str, bayer:
     found = FoundRadiometry(**own, factors=exposures.factors or settled)
     facts, warnings = [*exposures.facts], [*exposures.warnings]
     files = [(e.path, e) for g in groups for es in g.angles.values() for e in es if e.path.suffix.lower() not in RAW_SUFFIXES]
-    bits = {_header(e).bits if p not in headers else headers[p].bits for p, e in dict(files).items()}
+    headers |= {p: _header(e) for p, e in files if p not in headers}
+    bits = {headers[p].bits for p, _ in files}
     if bits == {16} and radiometry.white_level is None and radiometry.encoding != "srgb":
-        white, words, remarks = _white_level([e for _, e in files])
+        white, words, remarks = white_level([e for _, e in files])
         found = found if white is None else replace(found, white_level=white)
         warnings += words
         facts += remarks
+    if radiometry.encoding is None and kind != "mosaic":
+        warnings += mixed_words({p: headers[p].bits for p, _ in files})
+        warnings += stated_words({p: h.curve for p, h in headers.items() if h.curve and h.bits == 16})
     if radiometry.encoding is None and bits and bits <= {8, 16} and kind in ("stack", "mosaic"):
         encodings, words = _encodings(groups, replace(config, radiometry=found), kind, bayer, bits == {8})
         found = replace(found, encodings=encodings)
@@ -88,7 +94,7 @@ def _header(exposure: Exposure) -> _Header:
     image = open_image(path, exposure.page)
     spec = image.spec()
     image.close()
-    return _Header({"uint8": 8, "uint16": 16}.get(str(spec.format), 0), exposure_of(spec))
+    return _Header({"uint8": 8, "uint16": 16}.get(str(spec.format), 0), exposure_of(spec), stated_curve(spec))
 
 
 def brightness(exposure: Exposure, config: CaptureConfig, kind: str) -> NDArray[np.float64] | None:
@@ -103,38 +109,6 @@ def brightness(exposure: Exposure, config: CaptureConfig, kind: str) -> NDArray[
     light = pixels[::step, ::step, :3].mean(-1, dtype=np.float64)
     light = light[np.isfinite(light)]
     return np.percentile(light, (10, 25, 50, 75, 90)) if light.size else None
-
-
-def _white_level(files: Sequence[Exposure]) -> tuple[float | None, list[str], list[str]]:
-    """The code that full samples have in 16-bit files, where fewer bits are in use, with the warning and the fact of it."""
-
-    def codes(e: Exposure) -> NDArray[np.uint16]:
-        image = open_image(e.path, e.page, unassociated=True)
-        spec = image.spec()
-        pixels = image.read_image("uint16")
-        image.close()
-        if pixels is None:
-            return np.zeros(0, np.uint16)  # its reader says what is wrong
-        colour = without_alpha(spec.channelnames)
-        return np.asarray(pixels).reshape(-1, spec.nchannels)[:, colour].astype(np.uint16, copy=False)
-
-    first = open_image(files[0].path, files[0].page)
-    own = getattr(first, "white_level", None)
-    size = first.spec().width * first.spec().height * first.spec().nchannels
-    first.close()
-    if own is not None:
-        return own, [], []  # set by raw.format
-    samples = [codes(e) for e in some_of(list(dict.fromkeys(files)), size)]
-    found = code_range(samples)
-    if found is None:
-        used = bits_used(samples)
-        return moved_up(used), [], low_codes(used)
-    line = (
-        f"{files[0].path}: codes of these 16-bit files end at {found.white_level:g}, which {found.clipped} samples have: they "
-        f"are taken as {found.bits}-bit codes, clipped there; say so in capture.toml: "
-        f"radiometry.white_level = {found.white_level:g}"
-    )
-    return found.white_level, [line], []
 
 
 def _is_raw(group: Group) -> bool:

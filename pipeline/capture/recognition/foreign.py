@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections import defaultdict
 from pathlib import Path
 
@@ -10,15 +11,28 @@ from pipeline.capture.naming.files import DUMPS, IMAGE_FOLDERS, IMAGE_SUFFIXES, 
 from pipeline.errors import UserError
 
 MOST_LOOKED_AT = 20_000
+LINK_LEVELS = 3
+"""Folders deep: camNN/cross, images/CAMERA."""
 
 
 def lost_links(root: Path) -> list[str]:
-    """A line where the capture's folder holds links to nothing: what they stood for is taken as not given."""
-    lost = sorted(p for p in root.iterdir() if p.is_symlink() and not p.exists() and not p.name.startswith("."))
+    """A line where the capture's folder, or those of a few levels below, hold links to nothing: what they stood for is taken as
+    not given."""
+    lost = sorted(_lost(root, LINK_LEVELS))
     if not lost:
         return []
-    named = f"{count(lost, 'link')} to nothing ({some(p.name for p in lost)})"
+    named = f"{count(lost, 'link')} to nothing ({some(p.relative_to(root).as_posix() for p in lost)})"
     return [f"{lost[0]}: {named}: copy what they stand for, or remove them"]
+
+
+def _lost(folder: Path, levels: int) -> list[Path]:
+    """Links to nothing in a folder and below; none that is hidden."""
+    with os.scandir(folder) as listing:
+        entries = [entry for entry in listing if not entry.name.startswith(".")]
+    found = [Path(e.path) for e in entries if e.is_symlink() and not os.path.exists(e.path)]
+    folders = [Path(e.path) for e in entries if levels > 1 and e.is_dir(follow_symlinks=False)]
+    below = [path for path in folders if os.access(path, os.R_OK | os.X_OK)]
+    return found + [path for place in below for path in _lost(place, levels - 1)]
 
 
 def foreign_warnings(capture: Capture) -> list[str]:
@@ -39,6 +53,22 @@ def foreign_warnings(capture: Capture) -> list[str]:
         named = some(p.name for p in resources)
         lines.append(f"{resources[0].parent}: left out {named}: macOS resource files, no images; delete them (dot_clean)")
     return lines
+
+
+BESIDE_VIEWS = (
+    "masks", "mask", "sparse", "colmap", "cameras*.npz", "cameras.xml", "*_par.txt", "bundle.out", "poses_bounds.npy",
+)  # fmt: skip
+"""What lies beside a capture's pictures and tells that there were some."""
+
+
+def refuse_without_pictures(root: Path) -> None:
+    """Raise UserError where a folder holds cameras or masks and no picture of a view."""
+    found = sorted(p.name + "/" * p.is_dir() for pattern in BESIDE_VIEWS for p in root.glob(pattern) if p.exists())
+    if not found:
+        return
+    lost = [p.relative_to(root).as_posix() for p in sorted(_lost(root, LINK_LEVELS))]
+    links = f" ({some(lost)} is a link to nothing)" if lost else ""
+    raise UserError(root, f"holds {some(found)}, but no picture of a view{links}", "copy the pictures into images/")
 
 
 def refuse_unreadable(root: Path) -> None:

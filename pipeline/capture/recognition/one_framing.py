@@ -44,6 +44,9 @@ STRONG = 0.32
 """Deviation of what changes, over its mean (median): the eight real lights 0.34, others 0.4 to 1.7; a polariser that turns
 changes light of DoLP d by 0.7 d."""
 FEWEST_BLOCKS = 8
+LEFT = 0.05
+"""Share of the structure within pieces that no gain explains. A polariser that turns, and exposures that clip: 0.001 to 0.025;
+a turn of the object by 5 degrees: 0.08 and more (a textured ball at 48 and 96 pixels)."""
 
 
 @dataclass(frozen=True)
@@ -73,16 +76,34 @@ def changes_light(paths: Sequence[Path]) -> bool:
 
 def one_framing(paths: Sequence[Path]) -> bool:
     """Whether the pictures `paths`, one a view, show one framing under changing light; files that cannot be read: no."""
-    if len(paths) < FEWEST:
+    pictures = _some_small(paths) if len(paths) >= FEWEST else None
+    found = framing(pictures) if pictures is not None else None
+    return found is not None and found.is_one
+
+
+def stays_in_place(paths: Sequence[Path]) -> bool:
+    """Whether what changes between the pictures becomes brighter or darker and does not move; a turned polariser, an exposure
+    or the light. Files that cannot be read or hardly differ: no."""
+    pictures = _some_small(paths)
+    if pictures is None:
         return False
+    mean = np.asarray(pictures.mean(0))
+    lit = mean > 0.02 * np.percentile(mean, 99)
+    in_place, blocks = _gain_over_shift(pictures, mean, lit)
+    if blocks < FEWEST_BLOCKS or in_place > IN_PLACE or not (pictures != pictures[0]).any():
+        return False
+    return _left_by_gain(pictures, mean, lit) <= LEFT
+
+
+def _some_small(paths: Sequence[Path]) -> Plane | None:
+    """A dozen of the pictures [n, H, W], small and grey; None where they cannot be read or are of several sizes."""
     chosen = [paths[k * len(paths) // min(LOOKED_AT, len(paths))] for k in range(min(LOOKED_AT, len(paths)))]
     try:
         if len({image_size(p) for p in chosen}) > 1:
-            return False
-        found = framing(np.stack([_small_grey(p) for p in chosen]))
+            return None
+        return np.stack([_small_grey(p) for p in chosen])
     except UserError:  # raw or damaged: the reader says so
-        return False
-    return found is not None and found.is_one
+        return None
 
 
 def framing(pictures: Plane) -> Framing | None:
@@ -126,6 +147,20 @@ def _gain_over_shift(pictures: Plane, mean: Plane, changes: NDArray[np.bool_]) -
         sx, sy = (yy * px - xy * py) / determinant, (xx * py - xy * px) / determinant
         by_shift += float(((change - sx[:, None] * dx - sy[:, None] * dy) ** 2).sum())
     return by_gain / max(by_shift, 1e-12), int(whole.sum())
+
+
+def _left_by_gain(pictures: Plane, mean: Plane, lit: NDArray[np.bool_]) -> float:
+    """What a gain leaves of each block's own structure, over that structure."""
+    side = 8 if max(mean.shape) >= 96 else 4
+    whole = _blocks(lit.astype(float), side).mean(1) > 0.9
+    base = _blocks(mean, side)[whole]
+    left = structure = 0.0
+    for picture in pictures:
+        part = _blocks(picture, side)[whole]
+        gain = (part * base).sum(1) / np.maximum((base * base).sum(1), 1e-12)
+        left += float(((part - gain[:, None] * base) ** 2).sum())
+        structure += float(((part - part.mean(1, keepdims=True)) ** 2).sum())
+    return left / max(structure, 1e-12)
 
 
 def _blocks(image: Plane, side: int) -> Plane:

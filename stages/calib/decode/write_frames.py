@@ -7,8 +7,6 @@ import os
 import shutil
 from collections import defaultdict
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,6 +19,7 @@ from pipeline.errors import UserError
 from pipeline.formats.images import HALF_MAX, write_exr, write_mask, write_png, write_stokes
 from pipeline.geometry.lens import FRAMES
 from stages.calib.decode.frame_scan_kernel import count_unphysical, make_physical
+from stages.calib.decode.light_doubts import FrameRecord, doubt_light, polarised_at_all, share_below_zero
 from stages.calib.decode.noise import estimate_noise
 from stages.calib.decode.plateau import clip_level
 
@@ -32,20 +31,6 @@ OVERFLOW = "check stokes.scale, radiometry.white_balance and exposure_s in captu
 
 SQUARES = 1e18
 """Radiance whose square single precision still holds: polarised light is compared by squares."""
-
-
-@dataclass
-class FrameRecord:
-    """What frames.json keeps of one view, and what the user is told."""
-
-    facts: dict[str, Any]
-    faults: dict[str, int]
-    impossible: int = 0
-    negative: int = 0
-    pixels: int = 0
-    black: bool = False
-    peak: float = 0.0
-    moved: tuple[float, Path] | None = None
 
 
 def decode_views(stage: StageRun) -> None:
@@ -89,6 +74,7 @@ def _decode_one(source: ViewSource, stage: StageRun) -> tuple[str, FrameRecord]:
     record = FrameRecord({}, decoded.faults, pixels=height * width, moved=decoded.moved)
     saturated = _saturated(decoded, source)
     name = f"frames/{source.view}.exr"
+    record.below_zero, record.polarised = share_below_zero(decoded.s0), polarised_at_all(decoded.stokes)
     if decoded.stokes is not None:
         survey = (make_physical if decoded.design is not None else count_unphysical)(decoded.stokes)
         record.negative, record.impossible, peak = survey.negative, survey.impossible, survey.peak
@@ -164,11 +150,6 @@ def _tell(stage: StageRun, records: dict[str, FrameRecord]) -> None:
     clipped = [v for v, r in sorted(records.items()) if r.facts["saturated_fraction"] > 0]
     stage.note("unphysical", {"negative_s0": negative, "dolp_above_1": impossible, "pixels": total})
     stage.note("saturated_views", len(clipped))
-    if impossible > total * 0.01:  # noise alone makes a few; more has a cause that the user can mend
-        stage.warn(
-            f"{stage.capture.root}: DoLP is above 1 in {100 * impossible / total:.1f} % of the pixels: "
-            "check radiometry.black_level, and mosaic.order or the stack's angles"
-        )
     black = [v for v, r in sorted(records.items()) if r.black]
     if len(black) == len(records):
         raise UserError(
@@ -182,7 +163,7 @@ def _tell(stage: StageRun, records: dict[str, FrameRecord]) -> None:
         stage.warn(f"{first}{more}: every pixel is black: leave it out, or export it again")
     if clipped:
         stage.progress.say(f"saturated samples in {count(clipped, 'view')} ({some(clipped)})")
-    _doubt_levels(stage, records)
+    doubt_light(stage, list(records.values()))
     sizes = {(r.facts["width"], r.facts["height"]) for r in records.values()}
     if len(sizes) > 1:
         stage.warn(
@@ -200,28 +181,6 @@ def _tell(stage: StageRun, records: dict[str, FrameRecord]) -> None:
     if worst > WARN_CONDITION:
         close = f"polariser angles close together (condition number {worst:.0f}): s1 and s2 are noisy"
         stage.warn(f"{stage.capture.root}: {close}; check the angles in file names or [stack.angles_deg]")
-
-
-MANY_CLIPPED = 0.05
-"""Share of all samples that are saturated, from which the exposure is in doubt: highlights and a bright sky take 0.002."""
-FAINT = 1e-18  # of the brightest sample, below which its square is no normal number of single precision (1e-38)
-
-
-def _doubt_levels(stage: StageRun, records: dict[str, FrameRecord]) -> None:
-    """Warn of exposures that lose much of the object, and of units in which single precision loses digits."""
-    clipped = sum(r.facts["saturated_fraction"] * r.pixels for r in records.values())
-    share = clipped / max(1, sum(r.pixels for r in records.values()))
-    if share > MANY_CLIPPED:
-        stage.warn(
-            f"{stage.capture.root}: {100 * share:.0f} % of all samples are saturated: nothing is learnt from them; "
-            "check whether the pictures are overexposed, or were scaled and cut off"
-        )
-    peak = max((r.peak for r in records.values()), default=0.0)
-    if 0 < peak < FAINT:
-        stage.warn(
-            f"{stage.capture.root}: the brightest sample is {peak:.0e}: single precision loses digits of so faint radiance; "
-            "check its units, and [stokes] scale in capture.toml"
-        )
 
 
 WARN_CONDITION, REFUSE_CONDITION = 30.0, 300.0

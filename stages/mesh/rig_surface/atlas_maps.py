@@ -57,8 +57,10 @@ def write_rig_asset(run: StageRun, mesh: Mesh, sights: Sights, slack: float, foo
     guessed = 1 - float(seen.mean())
     surface = Textured(position, normal, tangent, atlas.faces, atlas.uv, maps, p.texel_px * footprint, guessed)
     with run.progress.bar("asset", total=FILES, unit="files") as bar:
-        write_asset(run.output / files.ASSET, surface, run.capture.up, run.capture.config.unit_m, np.zeros(3),
-                    facts={**FACTS, "lobe": lobe}, done=bar.advance)  # fmt: skip
+        unit_m = run.capture.config.unit_m
+        write_asset(
+            run.output / files.ASSET, surface, run.capture.up, unit_m, np.zeros(3), facts=FACTS, done=bar.advance, lobe=lobe
+        )
     run.note("texture_size", [atlas.width, atlas.height])
     run.note("texture_guessed", round(guessed, 5))
 
