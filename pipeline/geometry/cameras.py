@@ -89,7 +89,14 @@ class Camera:
         return local @ self.world_to_camera[:3, :3]
 
     def rays_through(self, pixels: np.ndarray) -> np.ndarray:
-        """The same of chosen pixels, given by row * width + column [P]: [P, 3]. Of a large frame all would be gigabytes."""
+        """Directions through chosen pixels: those of a whole large frame are gigabytes.
+
+        Args:
+            pixels: row * width + column of each. [P]
+
+        Returns:
+            What `rays` has there, float64. [P, 3]
+        """
         v, u = np.divmod(pixels, self.width)
         if self.is_pinhole:
             local = self._in_plane(u + 0.5, v + 0.5)

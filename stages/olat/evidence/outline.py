@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import reduce
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,7 +14,9 @@ SLOPE = 0.08  # of the blurred mask: what it is 2.5 pixels from a straight outli
 
 def outward(mask: NDArray[np.bool_], camera: Camera, pixels: NDArray[np.intp]) -> NDArray[np.float64]:
     """Unit vectors [P, 3] out of the object at flat indices `pixels`; 0 away from the outline and at the frame's edge."""
-    blur = reduce(np.convolve, [(0.25, 0.5, 0.25)] * PASSES)
+    blur = np.ones(1)
+    for _ in range(PASSES):
+        blur = np.convolve(blur, (0.25, 0.5, 0.25))
     slope, reach = np.convolve(blur, (-0.5, 0.0, 0.5)), PASSES + 1
     held = np.pad(np.pad(mask, 1, mode="edge"), reach, mode="symmetric")  # what the frame cuts has no outline there
     rows, columns = np.divmod(pixels, mask.shape[1])
