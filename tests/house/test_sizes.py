@@ -25,7 +25,6 @@ LONG_FILES = {
     "pipeline/shading/shade_kernels.py": (280, "kernel and adjoint share the lookups' device functions"),
     "stages/calib/poses/find.py": (300, "one COLMAP session from pictures to cameras"),
     "stages/olat/pixel_fit/one_pixel.py": (310, "one pixel from samples to maps, in the order of work"),
-    "stages/olat/pixel_fit/specular.py": (270, "one fit: model, derivatives, steps"),
     "stages/train/rasterize/kernel_backward.py": (350, "the adjoint of a pair, a pixel and a tile: read against kernel_block"),
     "stages/train/rasterize/kernel_project.py": (280, "projection and its adjoint stand beside each other"),
 }
