@@ -5,7 +5,7 @@ DEVICE ?= auto
 JOBS ?= 1
 DEMO ?= build/demo
 STAGES := decode poses masks olat train mesh relight metrics
-BENCHES := $(addprefix bench-,approximations mesh rasterize shading decode masks olat train light ablation assets poses)
+BENCHES := $(addprefix bench-,approximations mesh rasterize shading decode masks olat overexposure train light ablation assets poses)
 
 # A misspelt variable would be ignored without a word.
 VARIABLES := CAPTURE DATASET PARAMS ENVS DEVICE JOBS DRY_RUN YES FULL REPAIR CAPTURES MEMORY PYTHON VENV DEMO

@@ -25,8 +25,8 @@ ALWAYS = {
 }  # fmt: skip
 """Benchmarks that make all that they measure, with their arguments."""
 ON_CAPTURES = {
-    "decode": [], "masks": [], "olat": [], "train": ["--out", str(RESULTS), "--resume"], "light": ["--out", str(RESULTS)],
-    "ablation": ["--out", str(RESULTS)], "assets": [],
+    "decode": [], "masks": [], "olat": [], "overexposure": [], "train": ["--out", str(RESULTS), "--resume"],
+    "light": ["--out", str(RESULTS)], "ablation": ["--out", str(RESULTS)], "assets": [],
 }  # fmt: skip
 """Benchmarks on captures with ground truth."""
 PHOTOGRAPHS = "castle"

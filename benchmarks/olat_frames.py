@@ -1,4 +1,4 @@
-"""The stage on large frames: wall time against only reading them, and peak memory at two heights."""
+"""The stage on large frames: wall time against only reading them, peak memory at two heights, and frames of full size."""
 
 from __future__ import annotations
 
@@ -22,6 +22,9 @@ from stages.olat.reading.scanline_bands import bands_of
 from synth.olat_pixels import VIEW, make, rig_of, unit
 
 REPEATS = 5
+FULL = (3240, 6144)
+"""Width and height of the frames of an LSX3 camera, as PRF used it: eight cameras, 346 lights, two passes."""
+SHARE = 0.35  # of the frame that the object is across where frames of full size are made: a tenth of the pixels
 BASE = 2000  # pixels that a frame is drawn from, at random: as incompressible as noise makes real frames
 CAMERA = """#focal length
 {focal} {focal}
@@ -143,3 +146,34 @@ def large_frames(
             found.append(measure(root))
     stages = sorted(path.parent for path in captures.glob("*/gt_brdf.json")) if captures else []
     return found + [measure(root) for root in stages]
+
+
+def full_size(lights: int = 16, steps: tuple[int, ...] = (8, 1), kept: Path | None = None) -> dict[str, Any]:
+    """One camera of full-size frames with every 8th and with all of a few lights: memory, and what a frame more takes.
+
+    Reading grows with the frames, what is written does not: a line through the runs tells them apart (a frame's share of the
+    fits is with the frame). kept: where the capture is, or is left.
+    """
+    found: list[dict[str, float]] = []
+    with tempfile.TemporaryDirectory() as made:
+        root = kept or Path(made) / "full-size"
+        if not root.is_dir():
+            write_capture(root, *FULL, lights, SHARE)
+        pixels = int(np.count_nonzero(read_mask(root / "cam00" / "mask.png")))
+        stored = sum(path.stat().st_size for path in root.rglob("*.exr")) / (2 * lights)
+        for step in steps:
+            dataset = Path(made) / f"dataset-{step}"
+            command = [sys.executable, "-m", "stages", "olat", str(root), "--dataset", str(dataset)]
+            subprocess.run([*command, "--params", f"olat.lights=every={step}"], check=True, stdout=subprocess.DEVNULL)
+            olat, decode = (json.loads((dataset / s / "current" / "manifest.json").read_text()) for s in ("olat", "decode"))
+            row = {"lights": -(-lights // step), **{key: olat[key] for key in ("peak_rss_mb", "cpu_s", "wall_s")}}
+            row |= {f"decode_{key}": decode[key] for key in ("peak_rss_mb", "cpu_s")}
+            found.append(row)
+            print("  " + "  ".join(f"{k} {v:.4g}" for k, v in row.items()), flush=True)
+            shutil.rmtree(dataset)
+    frames = np.array([2 * row["lights"] for row in found])
+    a_frame, rest = np.polyfit(frames, [row["cpu_s"] for row in found], 1)
+    return {
+        "width": FULL[0], "height": FULL[1], "pixels": pixels, "frame_mb": stored / 2**20, "runs": found,
+        "cpu_s_a_frame": float(a_frame), "cpu_s_besides": float(rest),
+    }  # fmt: skip

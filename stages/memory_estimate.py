@@ -11,10 +11,12 @@ from typing import Any
 from pipeline.capture import Capture
 from pipeline.capture.view_rules import too_few_views
 from stages.object_share import object_share
+from stages.rig_surface_size import likely_triangles
 
 MEBI = 2**20
 PROGRAM = 80.0  # Python, numpy and this program
-READING = 195.0  # and OpenImageIO, numba
+LOOKING = 135.0  # and OpenImageIO
+READING = 195.0  # and numba
 SURFACE = 420.0  # rays and the fields of a surface of 320 voxels
 COMPILING = 350.0  # LLVM, while the fits of a light stage are compiled
 SAMPLE_BYTES = {".exr": 2}  # half floats as they are; others are read as floats
@@ -33,7 +35,10 @@ def decode(capture: Capture, parameters: Any, jobs: int) -> float:
     """
     if capture.light_stage is not None:
         plain = all(c.cross and c.cross[0].suffix.lower() == ".exr" for c in capture.light_stage.cameras.values())
-        return PROGRAM if plain else READING + 5
+        from stages.calib.decode.frame_samples import EVERY, LARGE
+
+        looked_at = _largest(capture) / (EVERY if _largest(capture) > LARGE else 1)
+        return (LOOKING if plain else READING + 5) + 28 * looked_at * max(1, jobs) / MEBI
     mosaic = "mosaic" in capture.layout
     return READING + 30 * mosaic + 160 * _largest(capture) * max(1, jobs) / MEBI
 
@@ -91,7 +96,9 @@ def olat(capture: Capture, parameters: Any, jobs: int, compiled: bool, again: bo
         for c in cameras if c.cross
     )  # fmt: skip
     lanes = max(1, min(jobs, len(cameras)))
-    return 130.0 + lanes * min(2 * parameters.band_mb, samples) + (0.0 if compiled else COMPILING) + (SURFACE if again else 0.0)
+    masks = (10 * _largest(capture) + (1 + 8 * object_share(capture)) * sum(capture.pixels)) / MEBI
+    own = 130.0 + lanes * min(2 * parameters.band_mb, samples) + masks
+    return own + (0.0 if compiled else COMPILING) + (SURFACE if again else 0.0)
 
 
 def train(capture: Capture, parameters: Any, jobs: int) -> float:
@@ -110,7 +117,8 @@ def train(capture: Capture, parameters: Any, jobs: int) -> float:
 
 
 def mesh(capture: Capture, parameters: Any, jobs: int) -> float:
-    """Estimate mesh: open3d; depths of all views, and the voxels near the surface.
+    """Estimate mesh: open3d; depths of all views, and the voxels near the surface; of a light stage one camera's maps, and what
+    all of them say of the surface's vertices.
 
     Args:
         capture: as recognised.
@@ -120,6 +128,9 @@ def mesh(capture: Capture, parameters: Any, jobs: int) -> float:
     Returns:
         MiB at the peak.
     """
+    if capture.light_stage is not None:
+        triangles = likely_triangles(capture, parameters.voxel_px, parameters.max_voxels)
+        return 510.0 + 6.5e-4 * triangles + 200 * _largest(capture) / MEBI
     return 390.0 + 55 * sum(capture.pixels) / MEBI + (150.0 if parameters.poisson else 0.0)
 
 

@@ -16,6 +16,7 @@ from pipeline.engine.costs import COMPILING, ITSELF, Cost
 from pipeline.environments import DEFAULT
 from stages.kept_kernels import compiling_s
 from stages.object_share import object_share
+from stages.rig_surface_size import likely_triangles
 
 Costs = dict[str, Cost]
 MEGA = 1e6
@@ -36,7 +37,11 @@ def decode(capture: Capture, parameters: Any) -> Costs:
     """
     if capture.light_stage is not None:
         frames = sum(len(c.frames) for c in capture.light_stage.cameras.values())
-        return {ITSELF: Cost(0.08 + 7e-4 * frames, 80.0), **_compiling("decode")}
+        from stages.calib.decode.frame_samples import EVERY, LARGE
+
+        looked_at = max(capture.pixels, default=0) / MEGA
+        looked_at /= EVERY if looked_at * MEGA > LARGE else 1
+        return {ITSELF: Cost(0.08 + (5e-4 + 0.02 * looked_at) * frames, 135.0 + 28 * looked_at), **_compiling("decode")}
     files = sum(len(view.paths) for view in capture.views)
     itself = 0.25 + 0.012 * files + 0.25 * _megapixels(capture) * files / max(1, len(capture.views))
     return {ITSELF: Cost(itself, 195.0), **_compiling("decode")}
@@ -155,9 +160,12 @@ def mesh(capture: Capture, parameters: Any) -> Costs:
     views = max(1, len(capture.pixels))
     pixels, share = _megapixels(capture), object_share(capture)
     around = 4 * pixels / views * share  # megapixels of the object's whole surface
-    fine = 4 / parameters.voxel_px**2 if capture.light_stage is not None else min(1.0, 1 / parameters.voxel_px**2)  # half of it
+    itself = Cost(1.8 + 2.0 * pixels + 120 * around * min(1.0, 1 / parameters.voxel_px**2), 390.0 + 55 * pixels)
+    if capture.light_stage is not None:
+        triangles = likely_triangles(capture, parameters.voxel_px, parameters.max_voxels)
+        itself = Cost(3.0 + 2.0 * pixels + 7e-5 * triangles, 510.0 + 6.5e-4 * triangles)
     return {
-        ITSELF: Cost(1.8 + 2.0 * pixels + 120 * around * fine, 390.0 + 55 * pixels),
+        ITSELF: itself,
         "textures": Cost(1.5 + 80 * around / parameters.texel_px**2, 200 * around),
         "poisson": Cost(2.5 * 4 ** (parameters.poisson_depth - 8) + 40 * around, 150.0),
     } | _compiling("mesh")

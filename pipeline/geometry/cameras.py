@@ -80,13 +80,34 @@ class Camera:
     def rays(self) -> np.ndarray:
         """Unit viewing directions away from the camera, world, float64 [H, W, 3]."""
         u, v = np.meshgrid(np.arange(self.width) + 0.5, np.arange(self.height) + 0.5)
-        local = np.stack([(u - self.cx) / self.fx, (v - self.cy) / self.fy, np.ones_like(u)], -1)
+        local = self._in_plane(u, v)
         if not self.is_pinhole:
             for start in range(0, self.height, RAY_ROWS):
                 rows = local[start : start + RAY_ROWS]
                 rows[:] = unproject(self.lens, self.distortion, rows[..., :2])
         local /= np.linalg.norm(local, axis=-1, keepdims=True)
         return local @ self.world_to_camera[:3, :3]
+
+    def rays_through(self, pixels: np.ndarray) -> np.ndarray:
+        """Directions through chosen pixels: those of a whole large frame are gigabytes.
+
+        Args:
+            pixels: row * width + column of each. [P]
+
+        Returns:
+            What `rays` has there, float64. [P, 3]
+        """
+        v, u = np.divmod(pixels, self.width)
+        if self.is_pinhole:
+            local = self._in_plane(u + 0.5, v + 0.5)
+            local /= np.linalg.norm(local, axis=-1, keepdims=True)
+        else:
+            local = self.rays_at(np.stack([u + 0.5, v + 0.5], -1))
+        return local @ self.world_to_camera[:3, :3]
+
+    def _in_plane(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """Where pixel positions lie in the plane at distance 1 of a camera without distortion: [..., 3]."""
+        return np.stack([(u - self.cx) / self.fx, (v - self.cy) / self.fy, np.ones_like(u)], -1)
 
     def stokes_frame(self) -> tuple[np.ndarray, np.ndarray]:
         """Each pixel's Stokes axes (x right, y up, both across its own ray), world, float64 [H, W, 3] each."""

@@ -85,10 +85,10 @@ def copy2(source, target):
 
 @kernel(fastmath=FAST, error_model="numpy")
 def _count_from(values, level):
-    n = np.int32(0)
+    n = ZERO  # as a float: numba widens the sum of integers to 64 bits, half as many at a time
     for k in range(values.size):
-        n += np.int32(1) if values[k] >= level else np.int32(0)
-    return n
+        n += ONE if values[k] >= level else ZERO
+    return int(n)
 
 
 @kernel(error_model="numpy")

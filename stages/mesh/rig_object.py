@@ -15,6 +15,7 @@ from pipeline.geometry.rays import RayMesh
 from pipeline.rig.object_rendering import LOBE
 from pipeline.rig.surface.read_maps import Rig
 from pipeline.rig.surface.search import SurfaceSettings, find_surface, footprint
+from stages.rig_surface_size import FINER, MOST_TRIANGLES
 
 from .clean import subdivided
 from .refine import following_normals
@@ -25,8 +26,6 @@ from .rig_surface.unseen import smoothed_where_unseen
 from .rig_surface.vertex_maps import SurfacePoints, camera_values, filled, fused_maps
 
 SEEN_WITHIN = 3.0  # voxels: what a camera sees beyond that is another surface
-FINER = 0.5  # of `voxel_px`: measured normals place a surface within a tenth of a pixel, and fused pixels resolve half of one
-MOST_TRIANGLES = 1_000_000  # beyond it textures alone hold the detail
 
 
 def make_rig_mesh(run: StageRun) -> None:

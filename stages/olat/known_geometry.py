@@ -51,7 +51,7 @@ class KnownGeometry:
 
     def covered(self, camera: Camera, mask: NDArray[np.bool_]) -> float:
         """Share of a camera's mask [H, W] that the surface fills. Raises UserError where it fills too little of it."""
-        share = float(np.isfinite(self._mesh.distance(camera.centre, camera.rays()[mask])).mean())
+        share = float(np.isfinite(self._mesh.distance(camera.centre, camera.rays_through(np.flatnonzero(mask)))).mean())
         if share < LEAST_COVERED:
             fault = f"fills {100 * share:.0f} % of the mask of {camera.name}"
             raise UserError(self.path, fault, f"give {KEY} a mesh of this object in the world and units of the cameras")

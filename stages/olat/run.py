@@ -131,7 +131,7 @@ def choose_lobe(stage: StageRun, pilot: list[Piece], rig: LightTable, settings: 
         np.concatenate([getattr(part, side)[:, ::step] for part, step in zip(parts, steps)], 1)
         for side in ("cross", "parallel")
     )
-    view = -camera.rays().reshape(-1, 3)[np.concatenate([part.band.pixels[::step] for part, step in zip(parts, steps)])]
+    view = -camera.rays_through(np.concatenate([part.band.pixels[::step] for part, step in zip(parts, steps)]))
     points = nearest_points(camera, view) if stage.capture.config.olat.near_light else None
 
     def rows_of(name: str) -> NDArray[np.float64]:
@@ -162,11 +162,9 @@ def fitted(
     geometry: KnownGeometry | None = None,
 ) -> Iterator[Part]:
     """Every piece, fitted in parts: one is finished and written while the next is fitted."""
-    name, view = "", np.empty((0, 3))
     for piece in pieces:
-        if piece.job.name != name:
-            name, view = piece.job.name, -piece.job.camera.rays().reshape(-1, 3)
-        whole, own = piece.samples.band, view[piece.samples.band.pixels]
+        whole = piece.samples.band
+        own = -piece.job.camera.rays_through(whole.pixels)
         for part in parts_of(whole, piece.job.camera.width):
             first, last = np.searchsorted(whole.pixels, (part.pixels[0], part.pixels[-1] + 1))
             rows = fit_part(stage, piece.job, piece.samples, own, rig, settings, threads, (int(first), int(last)), geometry)

@@ -112,7 +112,7 @@ def run(stage: StageRun) -> None:
 
 STAGE = Stage(
     name="olat",
-    version=13,
+    version=14,
     parameters=OlatParameters,
     needs=("decode", "masks"),
     needed=needed,

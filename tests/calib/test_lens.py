@@ -26,6 +26,12 @@ def seen_by(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     return stokes.astype(np.float32), (x / 0.3) ** 2 + (y / 0.25) ** 2 < 1
 
 
+@pytest.mark.parametrize("camera", [PINHOLE, BENT])
+def test_rays_through_chosen_pixels_are_those_of_the_image(camera):
+    chosen = np.array([0, 159, 160, 7777, 120 * 160 - 1])
+    assert np.allclose(camera.rays_through(chosen), camera.rays().reshape(-1, 3)[chosen], rtol=0, atol=1e-12)
+
+
 def capture(root, cameras, masks=True):
     frames = []
     for i, camera in enumerate(cameras):

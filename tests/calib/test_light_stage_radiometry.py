@@ -9,6 +9,7 @@ from pipeline.capture import open_capture
 from pipeline.errors import UserError
 from pipeline.formats.images import read_image, write_mask
 from pipeline.rig.frame_files import frames_root
+from stages.calib.decode import frame_samples
 from tests.capture.little_captures import codes, raw, write
 
 LIGHTS, SIZE = 6, (16, 20)
@@ -63,6 +64,18 @@ def test_linear_frames_stay_where_they_are(run_stages, tmp_path, suffix):
     assert folder == root and "frames_in" not in index and not warnings
     assert not (tmp_path / "out/decode/frames").exists()
     holds(index, folder)
+
+
+def test_some_rows_of_a_large_frame_tell_where_it_is_clipped(run_stages, tmp_path, monkeypatch):
+    root = build(tmp_path / "c", "exr", lambda x, k, n: np.minimum(x, 0.3).astype(np.float16))
+    whole, _, _ = decoded(run_stages, root, tmp_path)
+    for name, value in (("LARGE", 0), ("ROWS", 2), ("EVERY", 4)):
+        monkeypatch.setattr(frame_samples, name, value)
+    pixels, size = frame_samples.frame_samples(root / "cam00/cross/000000.exr")
+    assert pixels.shape[0] < SIZE[0] / 2 and size == SIZE[::-1]
+    part, _, warnings = decoded(run_stages, root, tmp_path / "part")
+    assert part["saturation_level"] == whole["saturation_level"] == pytest.approx(0.3, rel=1e-3) and not warnings
+    assert part["saturated_fraction"] == pytest.approx(whole["saturated_fraction"], rel=0.3)
 
 
 def test_equal_exposures_in_headers_change_nothing(run_stages, tmp_path):

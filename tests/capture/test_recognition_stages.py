@@ -1,14 +1,19 @@
 """Light stages are understood whatever their folders are called; pictures under one light each are never taken for views."""
 
+import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from pipeline.capture import open_capture
+from pipeline.capture.layouts.ict_light_stage import read_camera
 from pipeline.capture.recognition.one_framing import framing
 from pipeline.errors import UserError
 from pipeline.formats.images import read_image
+from pipeline.geometry.cameras import frame_of
 from synth import ball
 
 LIGHTS = 12
@@ -57,6 +62,48 @@ def test_a_stage_without_a_camera_file_is_told_its_form(tmp_path):
     (tmp_path / "lights.csv").write_text(ball.lights_csv(directions))
     (tmp_path / "cameras/camera00.txt").unlink()
     with pytest.raises(UserError, match=r"camera00\.txt: cam00 has images but no camera file; .*#focal length"):
+        open_capture(tmp_path)
+
+
+def other_cameras(root, kind, pictures, factor=1):
+    """Cameras of a transforms.json, or of a COLMAP model in text, for the stage's own camera at `factor` times its size."""
+    camera = read_camera(root / "cameras/camera00.txt", 16, 16).resized(16 * factor, 16 * factor)
+    shutil.rmtree(root / "cameras")
+    cameras = {name: replace(camera, fx=camera.fx + k) for k, name in enumerate(pictures)}
+    if kind == "transforms":
+        frames = [{"file_path": name, **frame_of(c)} for name, c in cameras.items()]
+        (root / "transforms.json").write_text(json.dumps({"frames": frames}))
+        return list(cameras.values())
+    lines, poses = [], []
+    for k, (name, c) in enumerate(cameras.items(), 1):
+        x, y, z, w = Rotation.from_matrix(c.world_to_camera[:3, :3]).as_quat()
+        lines.append(f"{k} PINHOLE {c.width} {c.height} {c.fx} {c.fy} {c.cx} {c.cy}")
+        poses.append(" ".join(map(str, (k, w, x, y, z, *c.world_to_camera[:3, 3], k, name))) + "\n")
+    (root / "sparse/0").mkdir(parents=True)
+    for name, text in (("cameras", lines), ("images", poses), ("points3D", [])):
+        (root / f"sparse/0/{name}.txt").write_text("\n".join(text) + "\n")
+    return list(cameras.values())
+
+
+@pytest.mark.parametrize("kind", ["transforms", "colmap"])
+@pytest.mark.parametrize("nest", ["{camera}/{which}", "{which}/{camera}"])
+@pytest.mark.parametrize(("pictures", "factor"), [(["shot/cam01.png", "Cam_00/x.jpg"], 1), (["c1_all.png", "c0_all.png"], 4)])
+def test_cameras_of_other_programs(kind, nest, pictures, factor, tmp_path):
+    directions = ball.write_stage(tmp_path, 4, nest=nest)
+    (tmp_path / "lights.csv").write_text(ball.lights_csv(directions))
+    true = other_cameras(tmp_path, kind, pictures, factor)[1].resized(16, 16)
+    capture = open_capture(tmp_path)
+    found = capture.cameras["cam00"]
+    assert capture.kind == "light_stage" and (found.width, found.height) == (16, 16)
+    assert np.allclose(found.intrinsics, true.intrinsics) and np.allclose(found.world_to_camera, true.world_to_camera)
+    assert any(p.name in ("transforms.json", "images.txt") for p in capture.files)
+
+
+@pytest.mark.parametrize("kind", ["transforms", "colmap"])
+def test_a_table_that_does_not_name_a_camera_is_asked_to(kind, tmp_path):
+    (tmp_path / "lights.csv").write_text(ball.lights_csv(ball.write_stage(tmp_path, 4)))
+    other_cameras(tmp_path, kind, ["cam03/a.png", "cam04/a.png"])
+    with pytest.raises(UserError, match=r"names no picture of cam00 \(first: cam03/a\.png\); name a picture of each camera"):
         open_capture(tmp_path)
 
 

@@ -102,6 +102,7 @@ def test_stored_meshes_were_made_with_today_s_defaults_and_mark_them():
     ("name", "now"),
     [
         ("decode", DecodeParameters()), ("masks", MasksParameters()), ("poses", PosesParameters()), ("olat", OlatParameters()),
+        ("overexposure", OlatParameters()),
         ("rasterize", {"screen_filter": SCREEN_FILTER, "layer": LAYER}),
         ("shading", {"mirror": TRAIN_NOW.mirror, "environment_resolution": TRAIN_NOW.environment_resolution}),
         ("assets", {"train": asdict(TRAIN_NOW), "mesh": asdict(MeshParameters()), "relight": asdict(RelightParameters())}),

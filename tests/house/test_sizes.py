@@ -21,12 +21,10 @@ FILE_LINES, FUNCTION_LINES = 250, 50
 # what gets shorter is lowered or taken out.
 LONG_FILES = {
     "pipeline/kernels/simd.py": (260, "one intrinsic after the other, each a few lines of LLVM"),
-    "pipeline/rig/lobes.py": (270, "the lobes, each with its derivatives beside it"),
     "pipeline/shading/lobe.py": (300, "definition, fused kernel and its adjoint stand beside each other"),
     "pipeline/shading/shade_kernels.py": (280, "kernel and adjoint share the lookups' device functions"),
     "stages/calib/poses/find.py": (300, "one COLMAP session from pictures to cameras"),
     "stages/olat/pixel_fit/one_pixel.py": (310, "one pixel from samples to maps, in the order of work"),
-    "stages/olat/pixel_fit/specular.py": (270, "one fit: model, derivatives, steps"),
     "stages/train/rasterize/kernel_backward.py": (350, "the adjoint of a pair, a pixel and a tile: read against kernel_block"),
     "stages/train/rasterize/kernel_project.py": (280, "projection and its adjoint stand beside each other"),
 }
@@ -34,7 +32,7 @@ _ADJOINT = "derivatives of one expression, in the order of the forward pass: par
 _KERNEL = "one loop of a kernel: parts would pass its whole state on"
 LONG_FUNCTIONS = {
     "pipeline/capture/layouts/nerfstudio.py:read": (70, "one file format, key after key"),
-    "pipeline/rig/lobes.py:_loops": (80, _KERNEL),
+    "pipeline/rig/lobe_loops.py:_loops": (80, _KERNEL),
     "pipeline/shading/lobe.py:_backward": (90, _ADJOINT),
     "pipeline/shading/prefilter_kernels.py:_row": (60, _KERNEL),
     "pipeline/shading/shade_kernels.py:backward": (120, _ADJOINT),

@@ -23,6 +23,15 @@ def test_bands_cover_the_mask_once_in_whole_chunks():
     assert all(b.top % 16 == 0 for b in bands) and len(bands) > 2
 
 
+def test_bands_end_with_the_object_and_hold_no_rows_far_above_or_below_it():
+    mask = np.zeros((4000, 8), bool)
+    mask[1000:1020] = True
+    for band_mb in (1e-3, 1e3):
+        bands = bands_of(mask, lights=100, band_mb=band_mb, itemsize=2)
+        assert bands[0].top == 992 and bands[-1].bottom == 1024
+    assert bands_of(np.zeros((40, 8), bool), lights=100, band_mb=1.0, itemsize=2) == []
+
+
 def test_a_band_is_never_larger_than_asked_unless_it_is_one_chunk():
     bands = bands_of(np.ones((160, 50), bool), lights=10, band_mb=0.2, itemsize=2)
     assert all(len(b.pixels) * 10 * 6 * 2 <= 0.2 * 2**20 or b.bottom - b.top == 16 for b in bands)

@@ -1,10 +1,13 @@
-"""Light stages: `camNN/cross` and `camNN/parallel` frames, LSX3 tables or a `lights.csv`, `cameras/cameraNN.txt`.
+"""Light stages: `camNN/cross` and `camNN/parallel` frames, LSX3 tables or a `lights.csv`, `cameras/cameraNN.txt`
+or the cameras of other programs.
 
 Covers the layout published with ICTPolarReal (`LSX3_*.txt`) and any other rig with a `lights.csv`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +17,7 @@ from pipeline.capture.layouts import Layout
 from pipeline.capture.light_stage.find_light_table import read_light_table, table_beside
 from pipeline.capture.light_stage.folders import PASSES, CameraFolders, camera_file, stage_folders
 from pipeline.capture.light_stage.frames import PassFrames, left_out_fact, one_pass_facts, pass_frames
+from pipeline.capture.light_stage.given_cameras import GivenCameras, given_cameras
 from pipeline.capture.model import Capture, LightStage, LightStageCamera, Passes
 from pipeline.capture.naming.files import find_environments
 from pipeline.errors import UserError
@@ -22,17 +26,23 @@ from pipeline.geometry.cameras import OPENGL_FROM_OPENCV, Camera
 from pipeline.geometry.straight_camera import unreached
 from pipeline.rig.light_table import LightTable
 
-FORMAT = "add it (lines #focal length, #principal point, #resolution, #distortion coeffs, MATRIX :), or remove the folder"
+FORMAT = (
+    "add it (lines #focal length, #principal point, #resolution, #distortion coeffs, MATRIX :), a transforms.json or a COLMAP "
+    "model, or remove the folder"
+)
 
 
 def recognise(root: Path) -> bool:
-    """A folder `camNN/` that holds a `cross/` or a `parallel/`; other names of these need a light table or camera files."""
+    """A folder `camNN/` that holds a `cross/` or a `parallel/`; other names of these need a light table or camera files.
+
+    Beside transforms.json or a COLMAP model camera files alone do not do: two polarisers' views may lie in such folders.
+    """
     cameras = stage_folders(root).values()
     if any(c.plain for c in cameras):
         return True
     views = any((root / name).exists() for name in ("transforms.json", "sparse"))
     files = any(camera_file(root, c.name).is_file() for c in cameras)
-    return bool(cameras) and not views and (files or table_beside(root) is not None)
+    return bool(cameras) and (table_beside(root) is not None or (files and not views))
 
 
 def read(root: Path, config: CaptureConfig) -> Capture:
@@ -43,14 +53,19 @@ def read(root: Path, config: CaptureConfig) -> Capture:
     passes: dict[str, PassFrames] = {}
     folders = sorted(stage_folders(root).items())
     _refuse_mixed_passes(dict(folders))
-    cameras = {name: _camera(root, found, lights, tables[-1], config, passes) for name, found in folders}
-    files = [*tables, *(camera_file(root, name) for name in cameras)]
+    given = None if all(camera_file(root, name).is_file() for name, _ in folders) else given_cameras(root)
+    pose = partial(_pose, root, config=config, given=given, alone=len(folders) == 1)
+    cameras = {name: _camera(root, found, lights, tables[-1], config, passes, pose) for name, found in folders}
+    files = [*tables, *(p for p in (camera_file(root, name) for name in cameras) if p.is_file())]
+    files += given.files if given is not None else ()
     for camera in cameras.values():
         files += [*camera.frames, *([camera.mask] if camera.mask else [])]
     files += [root / "capture.toml"] if config.path is not None else []
     files += [root / name for name in (config.radiometry.dark_frame, config.radiometry.flat_field) if name]
     environments = find_environments(root)
     facts = [*left_out_fact(passes), *one_pass_facts(cameras)]
+    if given is not None:
+        facts.append(f"cameras: {given.path.relative_to(root).as_posix()}")
     extra = {len(camera.full_light) for camera in cameras.values()} - {0}
     if extra:
         facts.append(f"{max(extra)} frames a pass beside the lights' own (all lights on, or dark) are left out")
@@ -81,8 +96,9 @@ def _refuse_mixed_passes(folders: dict[str, CameraFolders]) -> None:
 
 
 def _camera(
-    root: Path, folders: CameraFolders, lights: LightTable, table: Path, config: CaptureConfig, found: dict[str, PassFrames]
-) -> LightStageCamera:
+    root: Path, folders: CameraFolders, lights: LightTable, table: Path, config: CaptureConfig, found: dict[str, PassFrames],
+    pose: Callable[[CameraFolders, tuple[int, int]], Camera],
+) -> LightStageCamera:  # fmt: skip
     from pipeline.capture.assembly.sources import size_of
     from pipeline.formats.images import image_size
 
@@ -100,14 +116,22 @@ def _camera(
     mask = _mask(root, folders)
     if mask is not None and image_size(mask) != size:
         raise UserError(mask, f"is {image_size(mask)} pixels, the frames {size}", "make the mask at the frames' size")
+    return LightStageCamera(folders.name, cross.frames, parallel.frames, mask, pose(folders, size), cross.full_light, kind)
+
+
+def _pose(
+    root: Path, folders: CameraFolders, size: tuple[int, int], config: CaptureConfig, given: GivenCameras | None, alone: bool
+) -> Camera:
+    """A camera for frames of (width, height): its file's, else the one given beside. Raises UserError without."""
     path = camera_file(root, folders.name)
-    if not path.is_file():
-        for place in folders.home.parents[: len(folders.home.relative_to(root).parts) - 1]:
-            if camera_file(place, folders.name).is_file():
-                raise UserError(root, f"is not the light stage itself: that is {place.name}", f"give CAPTURE={place}")
-        raise UserError(path, f"{folders.home.name} has images but no camera file", FORMAT)
-    camera = read_camera(path, *size, name=folders.name, distortion=config.olat.distortion)
-    return LightStageCamera(folders.name, cross.frames, parallel.frames, mask, camera, cross.full_light, kind)
+    if path.is_file():
+        return read_camera(path, *size, name=folders.name, distortion=config.olat.distortion)
+    if given is not None:
+        return given.of(folders.name, size, alone)
+    for place in folders.home.parents[: len(folders.home.relative_to(root).parts) - 1]:
+        if camera_file(place, folders.name).is_file():
+            raise UserError(root, f"is not the light stage itself: that is {place.name}", f"give CAPTURE={place}")
+    raise UserError(path, f"{folders.home.name} has images but no camera file", FORMAT)
 
 
 def _mask(root: Path, folders: CameraFolders) -> Path | None:

@@ -25,7 +25,7 @@ from pipeline.errors import UserError
 from pipeline.formats.images import open_image, write_exr
 from stages.calib.decode.plateau import PlateauSearch
 
-BATCH = 8
+BATCH = 2  # frames held a job: one that is made, one that is written
 HALF_RANGE = 0.5
 """Of a sample's range: what a dark frame leaves of a hot pixel must be more, or the pixel is no measurement."""
 OWN_WHITE = {"uint16": 65535.0, "uint8": 255.0}
@@ -139,15 +139,15 @@ def write_linear(stage: StageRun, light_stage: LightStage, radiometry: Radiometr
     state = _Gathered(stage.output, names, balance, _half_holds(names, radiometry, balance, kinds), kinds <= FLOATS)
     title = "writing light-stage frames as linear EXR"
     with stage.progress.bar(title, len(names), "frames") as bar, ThreadPoolExecutor(max(1, stage.jobs)) as pool:
-        for batch in _batches(list(names)):  # a bound on the frames in memory
+        for batch in _batches(list(names), BATCH * max(1, stage.jobs)):
             for path, out in zip(batch, pool.map(lambda p: _frame(p, radiometry, sizes[p], balance), batch)):
                 state.add(path, *out)
                 bar.advance()
     return state.result()
 
 
-def _batches(paths: list[Path]) -> Iterator[list[Path]]:
-    yield from (paths[k : k + BATCH] for k in range(0, len(paths), BATCH))
+def _batches(paths: list[Path], size: int) -> Iterator[list[Path]]:
+    yield from (paths[k : k + size] for k in range(0, len(paths), size))
 
 
 def _half_holds(names: dict[Path, str], radiometry: RadiometryConfig, balance: NDArray[np.float32], kinds: set[str]) -> bool:

@@ -14,18 +14,17 @@ from pipeline.capture.naming.files import some
 from pipeline.engine.stage import StageRun
 from pipeline.errors import UserError
 from pipeline.formats.exr_frame import primaries_remark
-from pipeline.formats.images import picture_frame, read_image, read_stored
+from pipeline.formats.images import picture_frame
 from pipeline.geometry.cameras import frame_of
 from pipeline.rig.frame_files import IN_DECODE
+from stages.calib.decode.frame_samples import frame_samples
 from stages.calib.decode.linear_stage_frames import LinearFrames, radiometry_of, write_linear
-from stages.calib.decode.plateau import PlateauSearch
-
-BATCH = 8
+from stages.calib.decode.plateau import PlateauSearch, top_of
 
 
 def index_light_stage(stage: StageRun) -> None:
-    """Write olat.json; every frame is read once, for its size, bad samples and the clip level, and written anew where it is
-    not linear as it lies. Raises UserError."""
+    """Write olat.json; every frame is looked at once, for its size, bad samples and the clip level, and written anew where it
+    is not linear as it lies. Raises UserError."""
     light_stage = stage.capture.light_stage
     assert light_stage is not None
     radiometry = radiometry_of(stage, light_stage)
@@ -54,29 +53,25 @@ def _looked_at(stage: StageRun, light_stage: LightStage) -> LinearFrames:
     frames = [(camera, path) for camera in light_stage.cameras.values() for path in camera.frames]
     search, tops, bad = PlateauSearch(), {}, {}
 
-    def look(item: tuple[LightStageCamera, Path]) -> tuple[Path, np.ndarray, int]:
+    def look(item: tuple[LightStageCamera, Path]) -> tuple[Path, tuple[float, int, int], int]:
         camera, path = item
-        pixels, names, _ = read_stored(path, plain=True)
-        lower = [name.lower() for name in names]
-        if len(lower) > 3 and {"r", "g", "b"} <= set(lower):
-            pixels = pixels[..., [lower.index(c) for c in "rgb"]]
-        if pixels.shape[:2] != (camera.camera.height, camera.camera.width):
-            have, want = f"{pixels.shape[1]}x{pixels.shape[0]}", f"{camera.camera.width}x{camera.camera.height}"
+        pixels, size = frame_samples(path)
+        if size != (camera.camera.width, camera.camera.height):
+            have, want = f"{size[0]}x{size[1]}", f"{camera.camera.width}x{camera.camera.height}"
             fault = f"is {have}, the camera's other frames {want}"
             raise UserError(path, fault, "export every frame of a camera in one size")
         finite = np.isfinite(pixels)
         wrong = int(pixels.size - np.count_nonzero(finite))
-        return path, np.where(finite, pixels, 0) if wrong else pixels, wrong
+        return path, top_of(np.where(finite, pixels, 0) if wrong else pixels), wrong
 
     title = "looking at light-stage frames"
     with stage.progress.bar(title, len(frames), "frames") as bar, ThreadPoolExecutor(max(1, stage.jobs)) as pool:
-        for start in range(0, len(frames), BATCH):  # a bound on the frames in memory
-            for path, pixels, wrong in pool.map(look, frames[start : start + BATCH]):
-                search.add(pixels)
-                tops[path] = float(pixels.max(initial=0.0))
-                if wrong:
-                    bad[path] = wrong
-                bar.advance()
+        for path, top, wrong in pool.map(look, frames):
+            search.tops.append(top)
+            tops[path] = top[0]
+            if wrong:
+                bad[path] = wrong
+            bar.advance()
     level = _stated_level(stage) or search.level()
     clipped = [path for path, top in tops.items() if level is not None and top >= level]
     return LinearFrames({}, level, _clipped_fraction(clipped, level, frames), len(clipped), tops, bad)
@@ -94,9 +89,9 @@ def _clipped_fraction(clipped: list[Path], level: float | None, frames: list[tup
     """Share of all samples at or above the level."""
     if level is None or not frames:
         return 0.0
-    over = sum(int(np.count_nonzero(read_image(path) >= np.float32(level))) for path in clipped)
-    total = sum(camera.camera.width * camera.camera.height * 3 for camera, _ in frames)
-    return over / max(1, total)
+    pixels = {path: camera.camera.width * camera.camera.height for camera, path in frames}
+    over = sum(float(np.mean(frame_samples(path)[0] >= np.float32(level))) * pixels[path] for path in clipped)
+    return over / max(1, sum(pixels.values()))
 
 
 def _table(light_stage: LightStage, root: Path, frames: LinearFrames) -> dict[str, Any]:

@@ -20,6 +20,15 @@ def clip_level(image: NDArray[np.float32]) -> float | None:
     return search.level()
 
 
+def top_of(image: NDArray[np.float32]) -> tuple[float, int, int]:
+    """Largest sample of a frame [..], how many are as large, and how many lie just below."""
+    top = float(image.max(initial=0.0))
+    if not top > 0:
+        return top, image.size, 0
+    at_top = int(np.count_nonzero(image == np.float32(top)))
+    return top, at_top, int(np.count_nonzero(image >= np.float32(BELOW * top))) - at_top
+
+
 SAMPLED = 1 << 21
 """Samples that settle the question; a plateau that they miss is a speck."""
 
@@ -32,11 +41,7 @@ class PlateauSearch:
 
     def add(self, image: NDArray[np.float32]) -> None:
         """Remember the top of one frame [..]."""
-        top = float(image.max(initial=0.0))
-        high = image[image >= np.float32(BELOW * top)]
-        at_top = int(np.count_nonzero(high == np.float32(top)))
-        near = high.size - at_top
-        self.tops.append((top, at_top, near))
+        self.tops.append(top_of(image))
 
     def level(self) -> float | None:
         """The shared clip level, or None."""

@@ -168,7 +168,7 @@ class Seen:
         fine = (np.isfinite(cross) & np.isfinite(parallel)).all((0, 2)) & (parallel.max((0, 2)) > 0)
         if fine.sum() < FEWEST:
             return None
-        view = -job.camera.rays().reshape(-1, 3)[pixels[fine]]
+        view = -job.camera.rays_through(pixels[fine])
         return cls(
             cross[:, fine], parallel[:, fine], view, outward(job.mask, job.camera, pixels[fine]), rig, irradiance, factor
         )

@@ -114,6 +114,8 @@ class _Rows:
     def add(self, band: Band, found: NDArray[np.float64]) -> None:
         """Append what was found for a band [P, 4]; `bottom` rows above it that no pixel fills stay 0."""
         width = self.image.shape[1]
+        if not len(self.image):
+            self.top = max(self.top, band.top)  # what lies above the object is not kept
         rows = np.zeros((band.bottom - self.top - len(self.image), width, 4))
         rows.reshape(-1, 4)[band.pixels - (self.top + len(self.image)) * width] = found
         self.image = np.concatenate([self.image, rows])

@@ -14,7 +14,7 @@ from pipeline.kernels.numerics import copy1, copy2
 from pipeline.kernels.scratch import matrix, vector
 from pipeline.rig.lobe_names import GGX
 from pipeline.rig.lobes import values
-from stages.olat.pixel_fit.lobe_fit import ABSOLUTE, RELATIVE, linear_albedo
+from stages.olat.pixel_fit.lobe_fit import ABSOLUTE, RELATIVE, in_use, linear_albedo
 from stages.olat.pixel_fit.specular import optimise, reweight
 
 FEW = 8.0  # lights that a lobe is seen by, twice a round one's parameters: of more the residual tells the form
@@ -49,9 +49,6 @@ def doubt(settings, seen, frame, shape, rho, tie, o, n_d, half, incident, light,
              settings.tolerance, equations)  # fmt: skip
     values(GGX, frame2, shape2, o, half, incident, other)
     cost2 = reweight(other, kind(rho2[0]), light, use, absolute, RELATIVE, weight)
-    count = 0.0
-    for k in range(use.size):
-        count += 1.0 if use[k] > 0 else 0.0
-    if not (cost > 0 and rho2[0] > 0) or count * math.log(cost2 / cost) > ODDS:
+    if not (cost > 0 and rho2[0] > 0) or in_use(use) * math.log(cost2 / cost) > ODDS:
         return 0.0
     return 0.5 * abs(math.log(rho2[0] / rho))

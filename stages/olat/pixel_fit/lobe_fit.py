@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from pipeline.kernels.compiling import kernel
-from pipeline.kernels.numerics import FAST, ZERO, copy1, copy2
+from pipeline.kernels.numerics import FAST, ONE, ZERO, copy1, copy2
 from pipeline.kernels.scratch import matrix, vector
 from pipeline.rig.lobes import values
 from stages.olat.pixel_fit.fit_options import ROUND
@@ -123,12 +123,19 @@ def _expected(count, noise):
     return (1.0 + 3.0 * math.sqrt(2.0 / max(count, 1.0))) * count * noise * noise
 
 
+@kernel(fastmath=FAST, error_model="numpy")
+def in_use(use):
+    """How many samples are in use."""
+    n = ZERO * use[0]
+    for k in range(use.size):
+        n += ONE if use[k] > ZERO else ZERO
+    return float(n)
+
+
 @kernel(error_model="numpy")
 def _gain(most, use, certain, parameters):
     """Share of the simpler lobe's cost that one of `parameters` must beat, for as many samples as are in use."""
-    n = 0.0 - parameters
-    for k in range(use.size):
-        n += 1.0 if use[k] > 0 else 0.0
+    n = in_use(use) - parameters
     return min(most, 1.0 / (1.0 + certain / n)) if n > 0.0 else 0.0
 
 

@@ -71,9 +71,8 @@ def _gather(workspace, w, area, o, n_d, solved):
     n, (toward, least) = 0, ((n_d, 0.0) if solved else (o, OPPOSITE))
     for k in range(workspace.diffuse.size):
         p = toward[0] * w[0, k] + toward[1] * w[1, k] + toward[2] * w[2, k]
-        if p > least and workspace.ok[k] > 0:
-            workspace.front[n] = k
-            n += 1
+        workspace.front[n] = k  # written over unless it counts: a branch would be guessed wrong for many lights
+        n += 1 if p > least and workspace.ok[k] > 0 else 0
     for j in range(n):
         k = workspace.front[j]
         workspace.light[j] = workspace.specular[k]

@@ -55,8 +55,9 @@ def correlation_normal(light, use, incident, o, weight):
 def remove_overexposure(samples, level, order, delta, gap, rounds):
     """PRF Algorithm 1 on one channel's samples [N], only where one reaches `level`: spikes come down to the next value + delta.
 
-    Every rank before the first gap wider than `gap` (PRF's epsilon) of the maximum comes down, `rounds` times (M); the printed
-    form mixes ranks and indices. Returns the sum of the positive samples before, and what of it was removed.
+    Every rank before the first gap wider than `gap` (PRF's epsilon) of the maximum comes down, `rounds` times (M): first of the
+    samples that reach the level, then whatever still stands out. The printed form mixes ranks and indices. Returns the sum of
+    the positive samples before, and what of it was removed.
     """
     top, before, removed = ZERO, 0.0, 0.0
     for k in range(samples.size):
@@ -64,7 +65,7 @@ def remove_overexposure(samples, level, order, delta, gap, rounds):
         before += max(samples[k], ZERO)
     if not top >= level:
         return before, 0.0
-    for _ in range(rounds):
+    for turn in range(rounds):
         for k in range(samples.size):
             order[k] = 0  # 1: a rank that is done
         first = highest = -1.0
@@ -82,7 +83,7 @@ def remove_overexposure(samples, level, order, delta, gap, rounds):
                         removed += samples[k] - low
                         samples[k] = low
                 break
-            if samples[best] < level:
+            if turn == 0 and samples[best] < level:
                 break
             highest = samples[best]
             order[best] = 1

@@ -180,10 +180,10 @@ def optimise(lobe, frame, shape, rho, o, h, i, light, floor, weight, isotropic, 
     matrix[:] = 0.0
     if not size > 0:
         return 0.0, 0.0, 0
-    cost = normal_equations(lobe, frame, shape, rho[0], o, h, i, light, floor, weight, matrix, gradient)
+    cost = normal_equations(lobe, frame, shape, rho[0], o, h, i, light, floor, weight, isotropic, matrix, gradient)
     cost += hold(frame, n_d, prior, matrix, gradient)
     damping, norm, passes = 1e-3, 0.0, 1
-    n = _reduce(matrix, gradient, isotropic)
+    n = 4 if isotropic else 6
     norm = _norm(gradient, n, rho[0], size)
     for _ in range(steps):
         if norm < tolerance:
@@ -204,7 +204,8 @@ def optimise(lobe, frame, shape, rho, o, h, i, light, floor, weight, isotropic, 
         shape2[1] = shape2[0] if isotropic else min(max(shape[1] - scale * step[3], SHAPE_MIN), SHAPE_MAX)
         shape2[2] = 0.0 if isotropic else shape[2] - scale * step[4]
         rho2 = max(rho[0] - scale * step[n - 1], 0.0)
-        cost2 = normal_equations(lobe, frame2, shape2, rho2, o, h, i, light, floor, weight, matrix2, gradient2)
+        cost2 = normal_equations(lobe, frame2, shape2, rho2, o, h, i, light, floor, weight, isotropic, matrix2,
+                                 gradient2)  # fmt: skip
         cost2 += hold(frame2, n_d, prior, matrix2, gradient2)
         passes += 1
         if cost2 < cost * (1 + 1e-6):  # equal within rounding counts: the gradient decides when to stop
@@ -214,7 +215,6 @@ def optimise(lobe, frame, shape, rho, o, h, i, light, floor, weight, isotropic, 
             copy2(matrix2, matrix)
             copy1(gradient2, gradient)
             damping = damping * 0.1 if damping > 1e-9 else 0.0
-            _reduce(matrix, gradient, isotropic)
             norm = _norm(gradient, n, rho[0], size)
         else:
             damping = max(8 * damping, 1e-4)
@@ -245,25 +245,6 @@ def hold(frame, n_d, prior, matrix, gradient):
     matrix[0, 0] += prior * max(n, 0.5)
     matrix[1, 1] += prior * max(n, 0.5)
     return 2.0 * prior * (1.0 - n)
-
-
-@kernel(error_model="numpy")
-def _reduce(matrix, gradient, isotropic):
-    """Merge A and B, drop C where the lobe is to be round; returns the number of parameters."""
-    if not isotropic:
-        return 6
-    m = matrix
-    for k in range(6):
-        m[2, k] += m[3, k]
-    for k in range(6):
-        m[k, 2] += m[k, 3]
-    gradient[2] += gradient[3]
-    gradient[3] = gradient[5]
-    for k in range(3):
-        m[k, 3] = m[k, 5]
-        m[3, k] = m[k, 5]
-    m[3, 3] = m[5, 5]
-    return 4
 
 
 @kernel(error_model="numpy")

@@ -42,10 +42,12 @@ def picked(band: Band, width: int, height: int, shift: tuple[int, int] = (0, 0))
 
 
 def bands_of(mask: NDArray[np.bool_], lights: int, band_mb: float, itemsize: int) -> list[Band]:
-    """Bands of whole compression chunks, each with at most `band_mb` MiB of samples (or one chunk), none empty."""
+    """Bands of whole compression chunks, each with at most `band_mb` MiB of samples (or one chunk), from the first to the last
+    chunk that holds any."""
     per_pixel = lights * 6 * itemsize / 2**20
-    height, width = mask.shape
+    width = mask.shape[1]
     rows = mask.sum(1)
+    height = min(-(-(int(np.flatnonzero(rows)[-1]) + 1) // CHUNK_ROWS) * CHUNK_ROWS, len(mask)) if rows.any() else 0
     bands: list[Band] = []
     top = 0
     while top < height:

@@ -16,6 +16,7 @@ from pipeline.geometry.cameras import Camera, camera_from_frame
 from pipeline.report.pictures import INFERNO, VIRIDIS, crop_box, evenly_chosen
 from pipeline.rig import lobes
 from pipeline.rig.lobe_names import LOBES
+from pipeline.rig.lobe_points import LIGHT_FLOOR
 
 from .packing import octahedral, packed
 
@@ -50,7 +51,7 @@ def rig_scene(run: StageRun) -> dict[str, Any] | None:
 def scene_of(cameras: list[dict[str, Any]], lobe: int) -> dict[str, Any]:
     """All that `rig.js` reads: cameras of `camera_entry` with their `name`; lobe of `LOBES`."""
     names = {f"LOBE_{name.replace('-', '_').upper()}": k for name, k in LOBES.items()}
-    constants = {"PI": float(np.pi), "LOBE": lobe, "VIEW_FLOOR": lobes.VIEW_FLOOR, "LIGHT_FLOOR": float(lobes.LIGHT_FLOOR)}
+    constants = {"PI": float(np.pi), "LOBE": lobe, "VIEW_FLOOR": lobes.VIEW_FLOOR, "LIGHT_FLOOR": float(LIGHT_FLOOR)}
     return {
         "kind": "rig",
         "cameras": cameras,
