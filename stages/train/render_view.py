@@ -16,11 +16,9 @@ from .splats.gaussians import Splats, unit
 from .splats.taken_rows import cosines, taken_rows
 from .views.view import View
 
-FADE = 0.05  # of the cosine, over which a splat near the horizon fades: half of it reaches past, and takes its normal there
+GRAZING = 0.1  # cosine below which a splat fades: half of it reaches past the horizon, and takes its normal there
 LEARNT_FROM = 0.05  # cosine from which it counts while training: what is seen edge-on would bend to please single pixels
-SHOWN_FROM = -0.1  # the same in what is written: straight sides have nothing else in the last pixel before their outline, and
-# a splat that turns away by less than 6 degrees is wider than what hides its edge
-INNER_FROM = 0.0  # the same of inner sides: what is seen edge-on shows an outer one
+SHOWN_FROM = 0.0  # the same in what is written: straight sides have nothing else in the last pixel before their outline
 SCREEN_FILTER = 2  # half of gsplat's low-pass filter, which widens every outline by a pixel: 0.5 to 1 degree of normal error
 LAYER = 4.0  # median splat sigmas of depth within which splats are one surface: two pixels, when they are 0.9 apart
 SAMPLES = 4  # a side, for a pixel's mean normal: with 2, rims a pixel wide and outlines lose another 0.1 degree
@@ -90,7 +88,7 @@ def mean_normals(splats: Splats, view: View, backend: str, openings: bool) -> to
     """
     total = None
     for sign in (1, -1) if openings else (1,):
-        rows, there = _facing(splats, view, SHOWN_FROM if sign > 0 else INNER_FROM, sign)
+        rows, there = _facing(splats, view, SHOWN_FROM, sign)
         raster = _rasterised(splats, rows, there, view, backend, finer=SAMPLES)
         shown = unit(raster.features[..., :3]) * (raster.alpha > SHOWN)[..., None]
         total = shown if total is None else torch.where((total != 0).any(-1, keepdim=True), total, shown)
@@ -106,17 +104,17 @@ def inner_coverage(splats: Splats, view: View, backend: str) -> torch.Tensor:
 
     Through an opening one looks at the back of a surface, which is as opaque as its front.
     """
-    return _rasterised(splats, *_facing(splats, view, INNER_FROM, -1), view, backend).alpha
+    return _rasterised(splats, *_facing(splats, view, SHOWN_FROM, -1), view, backend).alpha
 
 
 @torch.no_grad()
 def _facing(splats: Splats, view: View, faintest: float, side: int = 1) -> tuple[torch.Tensor, torch.Tensor]:
     """Indices [R] of the splats that turn their outer side (-1: the inner one) to a view by a cosine above `faintest`, and how
-    far they count there, 0 there to 1 at FADE above it [R]."""
+    far they count there, 0 there to 1 at GRAZING [R]."""
     centre = -view.world_to_camera[:3, :3].T @ view.world_to_camera[:3, 3]
     cosine = side * cosines(splats, centre)
     rows = torch.nonzero(cosine > faintest)[:, 0]
-    return rows, ((cosine[rows] - faintest) / FADE).clamp_max(1)
+    return rows, ((cosine[rows] - faintest) / (GRAZING - faintest)).clamp_max(1)
 
 
 def _rasterised(
