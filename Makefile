@@ -19,6 +19,9 @@ INSTALLED := $(VENV)/.installed
 READY := $(VENV)/.ready
 
 # Through the environment, so that the shell takes every value as it stands: paths with spaces, quotes in ENVS= and PARAMS=.
+# Byte code is kept also where the surroundings forbid it: every process would compile the libraries, the project and the rewritten
+# asserts of the tests anew. Packages are installed without theirs: most of it is never used.
+export PYTHONDONTWRITEBYTECODE =
 export CAPTURE DATASET PARAMS ENVS DEVICE JOBS CAPTURES MEMORY DEMO
 SETTINGS = --dataset="$$DATASET" --params="$$PARAMS" --envs="$$ENVS" --device="$$DEVICE" --jobs="$$JOBS" --memory="$$MEMORY"
 OPTIONS = $(if $(CAPTURE),"$$CAPTURE") $(SETTINGS)
@@ -60,9 +63,8 @@ demo: $(READY)  ## a tiny synthetic capture through every stage
 	@echo "reports: $$DEMO/views/metrics/current/report.html and $$DEMO/stage/metrics/current/report.html"
 
 # One thread for each test, as many at once as there are cores: their arrays are small, and threads that wait for each other cost
-# three times the time. The tests of a file stay together (tests/conftest.py). Byte code is kept wherever the surroundings forbid it:
-# every process would compile the project and the rewritten asserts anew, half a minute of a core in all.
-TESTS = PYTHONDONTWRITEBYTECODE= OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 $(BIN)/python -m pytest -n logical --dist loadfile
+# three times the time. The tests of a file stay together (tests/conftest.py).
+TESTS = OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 $(BIN)/python -m pytest -n logical --dist loadfile
 
 # mypy and the compilation take a minute of one core each.
 test: $(INSTALLED)  ## everything; `test-fast` first tells soon what is wrong

@@ -20,7 +20,7 @@ import numpy as np
 from benchmarks import olat_forms, olat_frames, olat_noise, olat_plots, olat_zoo
 from benchmarks.case_store import made_with, stamp
 from benchmarks.olat_settings import AT, SETTINGS, timed
-from pipeline.rig.light_table_files import table_from_positions
+from pipeline.rig.lsx3_and_csv_light_tables import table_from_positions
 from pipeline.rig.solid_angles import solid_angles
 from stages.olat.parameters import OlatParameters
 from stages.olat.pixel_fit.many_pixels import fit

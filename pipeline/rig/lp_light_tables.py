@@ -9,7 +9,7 @@ import numpy as np
 
 from pipeline.errors import UserError
 from pipeline.rig.light_table import LightTable
-from pipeline.rig.light_table_files import table_from_positions
+from pipeline.rig.lsx3_and_csv_light_tables import table_from_positions
 
 DIRECTIONS, INTENSITIES, NAMES = "light_directions.txt", "light_intensities.txt", "filenames.txt"
 

@@ -22,12 +22,12 @@ from . import checkpoint
 from .angle_search import search_angles
 from .initialise.points import read_points
 from .parameters import TrainParameters
-from .results import finish_polarisers, openings_share, say_lost_gradients, say_what_is_unexplained, write_results
 from .setup import NO_POINTS, Start, prepare_training
 from .splats.closing import close_holes
 from .trainer import Trainer
 from .training_loop import optimise
 from .views.source_views import SourceView, load_sources
+from .write_results import finish_polarisers, openings_share, say_lost_gradients, say_what_is_unexplained, write_results
 
 if TYPE_CHECKING:
     from pipeline.engine.stage import StageRun

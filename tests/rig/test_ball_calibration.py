@@ -7,7 +7,7 @@ import pytest
 
 from pipeline.formats.images import write_png, write_rgb
 from pipeline.rig.ball_calibration import ball_normals, calibrated, outline_circle
-from pipeline.rig.light_table_files import read_lights_csv
+from pipeline.rig.lsx3_and_csv_light_tables import read_lights_csv
 from stages.calib.decode.ball_lights import main
 
 RADIUS, SIZE = 40.0, 128

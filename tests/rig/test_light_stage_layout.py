@@ -5,7 +5,7 @@ import pytest
 
 from pipeline.capture import open_capture
 from pipeline.capture.config import CaptureConfig
-from pipeline.capture.light_stage.find_light_table import light_table_file
+from pipeline.capture.light_stage.read_light_table import light_table_file
 from pipeline.errors import UserError
 from pipeline.formats.images import write_exr, write_mask
 from pipeline.geometry.cameras import camera_from_frame

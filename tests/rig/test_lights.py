@@ -5,7 +5,7 @@ import pytest
 
 from pipeline.errors import UserError
 from pipeline.rig.latlong_lights import as_lights, irradiance_per_light, texels
-from pipeline.rig.light_table_files import LSX3_POSITIONS, LSX3_SPIRAL, read_lights_csv, read_lsx3
+from pipeline.rig.lsx3_and_csv_light_tables import LSX3_POSITIONS, LSX3_SPIRAL, read_lights_csv, read_lsx3
 from pipeline.rig.solid_angles import fibonacci_sphere, solid_angles
 
 

@@ -11,7 +11,7 @@ import torch
 from pipeline.formats.backdrop import grown
 from pipeline.geometry.cameras import Camera
 from pipeline.shading import Prefilter
-from stages.train import result_files
+from stages.train import file_writers
 from stages.train.parameters import TrainParameters
 from stages.train.render_view import inner_coverage, mean_normals
 from stages.train.setup import prepare_training
@@ -105,15 +105,15 @@ def test_a_bowl_stays_open_and_shows_the_normals_of_its_inside():
     view = prepare(blank, start.frame, True)
     with torch.no_grad():
         rendered = trainer.renderer.render_whole(view)
-        channels = result_files.view_channels(rendered, view, start.frame)
+        channels = file_writers.view_channels(rendered, view, start.frame)
         normals = mean_normals(trainer.scene.model.activated(), view, "cpu", True)
         inner = inner_coverage(trainer.scene.model.activated(), view, "cpu")
     assert np.median(channels["alpha"][hole]) < 0.2
-    alpha = result_files.with_inner_sides(channels, inner)["alpha"]
+    alpha = file_writers.with_inner_sides(channels, inner)["alpha"]
     covered = seen.mask > 0.5
     assert (alpha[hole] > 0.5).mean() > 0.97 and (alpha[covered] > 0.5).mean() > 0.97
     assert (alpha - channels["alpha"])[~grown(covered)].max() < 0.1  # no outline is any wider for it
-    filled = result_files.with_normals(channels, normals, view, start.frame)
+    filled = file_writers.with_normals(channels, normals, view, start.frame)
     normal = np.stack([filled[f"N.{c}"] for c in "XYZ"], -1)
     error = np.degrees(np.arccos(np.clip((normal * truths[seen.name]).sum(-1), -1, 1)))
     assert np.median(error[hole]) < 12

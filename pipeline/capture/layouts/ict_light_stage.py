@@ -14,10 +14,10 @@ import numpy as np
 
 from pipeline.capture.config import CaptureConfig
 from pipeline.capture.layouts import Layout
-from pipeline.capture.light_stage.find_light_table import read_light_table, table_beside
 from pipeline.capture.light_stage.folders import PASSES, CameraFolders, camera_file, stage_folders
 from pipeline.capture.light_stage.frames import PassFrames, left_out_fact, one_pass_facts, pass_frames
 from pipeline.capture.light_stage.given_cameras import GivenCameras, given_cameras
+from pipeline.capture.light_stage.read_light_table import read_light_table, table_beside
 from pipeline.capture.model import Capture, LightStage, LightStageCamera, Passes
 from pipeline.capture.naming.files import find_environments
 from pipeline.errors import UserError
@@ -47,7 +47,7 @@ def recognise(root: Path) -> bool:
 
 def read(root: Path, config: CaptureConfig) -> Capture:
     """Open a light-stage capture. Raises UserError naming the file at fault. Pixels are not read."""
-    from pipeline.rig.light_table_files import LSX3_POSITIONS
+    from pipeline.rig.lsx3_and_csv_light_tables import LSX3_POSITIONS
 
     lights, tables = read_light_table(root, config)
     passes: dict[str, PassFrames] = {}

@@ -15,10 +15,10 @@ from pipeline.capture.config import CaptureConfig
 from pipeline.capture.layouts import Layout
 from pipeline.capture.layouts.ict_light_stage import read_camera
 from pipeline.capture.layouts.photographs import recognise as has_pictures
-from pipeline.capture.light_stage.find_light_table import read_light_table, table_beside
 from pipeline.capture.light_stage.folders import PASSES, camera_file, pass_of
 from pipeline.capture.light_stage.frame_numbers import numbered
 from pipeline.capture.light_stage.frames import PassFrames, frame_offset, frames_by_name, left_out_fact, one_pass_facts
+from pipeline.capture.light_stage.read_light_table import read_light_table, table_beside
 from pipeline.capture.model import Capture, LightStage, LightStageCamera
 from pipeline.capture.naming.files import IMAGE_SUFFIXES, find_environments, image_folder, list_images
 from pipeline.errors import UserError

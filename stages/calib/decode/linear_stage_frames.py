@@ -23,7 +23,7 @@ from pipeline.capture.radiometry.of_file import FoundRadiometry, factor_of
 from pipeline.engine.stage import StageRun
 from pipeline.errors import UserError
 from pipeline.formats.images import open_image, write_exr
-from stages.calib.decode.plateau import PlateauSearch
+from stages.calib.decode.clip_level import PlateauSearch
 
 BATCH = 2  # frames held a job: one that is made, one that is written
 HALF_RANGE = 0.5

@@ -17,9 +17,9 @@ from pipeline.formats.exr_frame import primaries_remark
 from pipeline.formats.images import picture_frame
 from pipeline.geometry.cameras import frame_of
 from pipeline.rig.frame_files import IN_DECODE
+from stages.calib.decode.clip_level import PlateauSearch, top_of
 from stages.calib.decode.frame_samples import frame_samples
 from stages.calib.decode.linear_stage_frames import LinearFrames, radiometry_of, write_linear
-from stages.calib.decode.plateau import PlateauSearch, top_of
 
 
 def index_light_stage(stage: StageRun) -> None:

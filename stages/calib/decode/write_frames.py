@@ -18,10 +18,10 @@ from pipeline.engine.stage import StageRun
 from pipeline.errors import UserError
 from pipeline.formats.images import HALF_MAX, write_exr, write_mask, write_png, write_stokes
 from pipeline.geometry.lens import FRAMES
+from stages.calib.decode.clip_level import clip_level
 from stages.calib.decode.frame_scan_kernel import count_unphysical, make_physical
 from stages.calib.decode.light_doubts import FrameRecord, doubt_light, polarised_at_all, share_below_zero
 from stages.calib.decode.noise import estimate_noise
-from stages.calib.decode.plateau import clip_level
 
 HALF_FAITHFUL = 2.0**-5
 """A half float keeps 11 bits down to 2^-14; where a frame's brightest sample is above this, the nine bits below it that

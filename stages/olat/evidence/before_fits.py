@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.capture.light_stage.find_light_table import light_table_file
+from pipeline.capture.light_stage.read_light_table import light_table_file
 from pipeline.engine.stage import StageRun
 from pipeline.errors import UserError
 from pipeline.rig.light_table import LightTable

@@ -17,7 +17,8 @@ from stages.olat.pixel_fit.form_evidence import doubt
 from stages.olat.pixel_fit.gradient_illumination import gradient_maps
 from stages.olat.pixel_fit.light_visibility import behind, diffuse_maps, printed_maps, specular_maps
 from stages.olat.pixel_fit.lobe_fit import fit_lobe, linear_albedo, round_start
-from stages.olat.pixel_fit.paper_forms import correlation, correlation_normal, gradient_direction, lambert, remove_all
+from stages.olat.pixel_fit.overexposure import remove_all
+from stages.olat.pixel_fit.paper_forms import correlation, correlation_normal, gradient_direction, lambert
 from stages.olat.pixel_fit.result_layout import (
     ALBEDO_D,
     ALBEDO_S,

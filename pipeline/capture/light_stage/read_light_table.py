@@ -8,7 +8,7 @@ from pipeline.capture.config import CaptureConfig
 from pipeline.capture.naming.files import subfolders
 from pipeline.errors import UserError
 from pipeline.rig.light_table import LightTable
-from pipeline.rig.light_table_files import LSX3_POSITIONS, LSX3_SPIRAL, read_lights_csv, read_lsx3
+from pipeline.rig.lsx3_and_csv_light_tables import LSX3_POSITIONS, LSX3_SPIRAL, read_lights_csv, read_lsx3
 
 CSV, DIRECTIONS = "lights.csv", "light_directions.txt"
 SIGNS = (CSV, DIRECTIONS, "light_positions.txt", "LSX3_light_positions.txt", "LSX3_light_z_spiral.txt", "light_intensities.txt")

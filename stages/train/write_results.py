@@ -14,7 +14,7 @@ from pipeline.geometry.cameras import world_offset
 from pipeline.geometry.lens import frame_table
 from pipeline.report.explained import FEWEST, doubts, explained
 
-from . import result_files
+from . import file_writers
 from .lit.write import LitSplats, cameras_around, write_lit
 from .objective import compared
 from .render_view import Rendered, inner_coverage, mean_normals
@@ -120,24 +120,24 @@ def write_results(trainer: Trainer, start: Start, sources: list[SourceView], sta
     with stage.progress.bar("writing views", total=len(sources), unit="views") as bar:
         for source in sources:
             view, rendered = whole_view(trainer, start, source)
-            channels = result_files.view_channels(rendered, view, frame)
+            channels = file_writers.view_channels(rendered, view, frame)
             write_gbuffer(files.gbuffer(output, source.name), channels)
             if rendered.gbuffer.extra.shape[-1]:
-                result_files.write_learnt_light(files.learnt_light(output, source.name), rendered, view, frame)
+                file_writers.write_learnt_light(files.learnt_light(output, source.name), rendered, view, frame)
             if source.split == "test":
                 splats, backend = trainer.scene.model.activated(), trainer.renderer.backend
-                channels = result_files.with_normals(channels, mean_normals(splats, view, backend, openings), view, frame)
+                channels = file_writers.with_normals(channels, mean_normals(splats, view, backend, openings), view, frame)
                 if openings:
-                    channels = result_files.with_inner_sides(channels, inner_coverage(splats, view, backend))
+                    channels = file_writers.with_inner_sides(channels, inner_coverage(splats, view, backend))
                 write_exr(files.held_back_image(output, source.name), channels)
             else:
                 lit.keep(view, rendered)
             bar.advance()
     offset = world_offset(stage.inputs["poses"] / files.CAMERAS)
-    result_files.write_gaussians(output / files.GAUSSIANS, trainer.scene.model, frame, offset)
+    file_writers.write_gaussians(output / files.GAUSSIANS, trainer.scene.model, frame, offset)
     write_lit_splats(lit, trainer, start, sources, stage, offset)
-    result_files.write_environment(output / files.ENVIRONMENT, trainer.scene.environment.radiance(), frame)
-    result_files.write_polarisers(output / files.POLARISERS, trainer.scene.bank)
+    file_writers.write_environment(output / files.ENVIRONMENT, trainer.scene.environment.radiance(), frame)
+    file_writers.write_polarisers(output / files.POLARISERS, trainer.scene.bank)
     facts = {
         "up": stage.capture.up,
         "fresnel": trainer.parameters.fresnel,
@@ -149,4 +149,4 @@ def write_results(trainer: Trainer, start: Start, sources: list[SourceView], sta
     }
     none = "switched off" if trainer.parameters.indirect == "none" else "the object hides next to nothing of itself"
     stage.note("indirect", {"run": facts["occlusion"], "reason": facts["indirect"] if facts["occlusion"] else none})
-    result_files.write_lighting(output / files.LIGHTING, frame, facts)
+    file_writers.write_lighting(output / files.LIGHTING, frame, facts)
