@@ -11,7 +11,7 @@ from typing import Any
 from pipeline.capture import Capture
 from pipeline.capture.view_rules import too_few_views
 from stages.object_share import object_share
-from stages.rig_surface_size import likely_triangles
+from stages.triangle_estimate import likely_triangles
 
 MEBI = 2**20
 PROGRAM = 80.0  # Python, numpy and this program

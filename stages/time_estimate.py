@@ -16,7 +16,7 @@ from pipeline.engine.costs import COMPILING, ITSELF, Cost
 from pipeline.environments import DEFAULT
 from stages.kept_kernels import compiling_s
 from stages.object_share import object_share
-from stages.rig_surface_size import likely_triangles
+from stages.triangle_estimate import likely_triangles
 
 Costs = dict[str, Cost]
 MEGA = 1e6

@@ -220,6 +220,10 @@ def _check(config: CaptureConfig, path: Path) -> None:
         refuse(extinction is not None and extinction <= 1, f"polarisers.{name}.extinction", extinction, "above 1")
 
 
+ROUNDED = 0.012
+"""Of 15 degrees in radians: what two digits after the point leave open, 0.003."""
+
+
 def _check_angles(config: CaptureConfig, refuse: Callable[[bool, str, object, str], None]) -> None:
     """Angles that are all multiples of 15 degrees in radians are no degrees."""
     polarisers = {name: p.angle_deg for name, p in config.polarisers.items() if p.angle_deg is not None}
@@ -227,11 +231,7 @@ def _check_angles(config: CaptureConfig, refuse: Callable[[bool, str, object, st
         turned = [abs(a) for a in angles.values() if a]
         steps = [a / math.radians(15) for a in turned]
         written = bool(turned) and max(turned) <= 2 * math.pi and all(abs(s - round(s)) < ROUNDED for s in steps)
-        refuse(written, key, {name: float(a) for name, a in angles.items()}, "in degrees: these are radians")
-
-
-ROUNDED = 0.012
-"""Of 15 degrees in radians: what two digits after the point leave open, 0.003."""
+        refuse(written, key, {name: float(a) for name, a in angles.items()}, "in degrees: these are multiples of 15 degrees in radians")
 
 
 def _check_poses(poses: PosesConfig, refuse: Callable[[bool, str, object, str], None]) -> None:

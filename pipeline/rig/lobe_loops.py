@@ -10,6 +10,13 @@ from pipeline.kernels.numerics import FAST, ZERO
 from pipeline.rig.lobe_points import ggx_point, shared_point
 
 
+@kernel(fastmath=FAST, error_model="numpy", inline="always")
+def _weighed(residual, floor, weight):
+    """A residual and its weight: a clipped sample (`floor` not 0) counts where the lobe stays below it."""
+    r = residual if floor == ZERO else min(residual, ZERO)
+    return r, weight if floor == ZERO else (weight if r < ZERO else ZERO)
+
+
 def _compiled(form):
     """Decorator: compile a loop for one form of the lobe, apart from the others: a branch inside would not vectorise."""
 
@@ -46,10 +53,7 @@ def _loops(form, point):
             g, l0, l1, l2, l3, l4 = point(h0[k], h1[k], h2[k], i0[k], i1[k], i2[k], f, ea, eb, c, kind)
             j5 = factor * g
             p = rho * j5
-            r = p - light[k]
-            r = r if floor[k] == ZERO else min(r, ZERO)
-            w = weight[k]
-            w = w if floor[k] == ZERO else (w if r < ZERO else ZERO)
+            r, w = _weighed(p - light[k], floor[k], weight[k])
             d = w * r
             cost += d * r
             j0, j1, j2, j3, j4 = p * (l0 + v[0]), p * (l1 + v[1]), p * (l2 + v[2]), p * (l3 + v[3]), p * (l4 + v[4])
@@ -103,10 +107,7 @@ def _round_loop(form, point):
             g, l0, l1, l2, l3, _ = point(h0[k], h1[k], h2[k], i0[k], i1[k], i2[k], f, ea, ea, ZERO * ea, kind)
             j3 = factor * g
             p = rho * j3
-            r = p - light[k]
-            r = r if floor[k] == ZERO else min(r, ZERO)
-            w = weight[k]
-            w = w if floor[k] == ZERO else (w if r < ZERO else ZERO)
+            r, w = _weighed(p - light[k], floor[k], weight[k])
             d = w * r
             cost += d * r
             j0, j1, j2 = p * (l0 + v[0]), p * (l1 + v[1]), p * (l2 + l3 + width)

@@ -19,6 +19,12 @@ G_ONE = np.float32(1 / 1.6)  # below this alpha tan(theta) nothing is masked
 
 
 @kernel(fastmath=FAST, error_model="numpy", inline="always")
+def _in_frame(f, x, y, z):
+    """A direction in the frame whose rows [9] are t, b, n."""
+    return f[0] * x + f[1] * y + f[2] * z, f[3] * x + f[4] * y + f[5] * z, f[6] * x + f[7] * y + f[8] * z
+
+
+@kernel(fastmath=FAST, error_model="numpy", inline="always")
 def _slope(x, y, z, ea, eb, c):
     """Slope of a direction (x, y, z) in units of the widths, and what its derivatives are made of."""
     fa, fb = ONE / ea, ONE / eb
@@ -71,12 +77,8 @@ def shared_point(h0, h1, h2, i0, i1, i2, f, ea, eb, c, kind):
     kind: (1 for Beckmann else 0, 1 - that, coefficients of 1, 1/sqrt(n·i), sqrt(n·i), the power of n·i). All lobes share one
     loop, blended by these numbers: a branch would be compiled into four loops.
     """
-    x = f[0] * h0 + f[1] * h1 + f[2] * h2
-    y = f[3] * h0 + f[4] * h1 + f[5] * h2
-    z = f[6] * h0 + f[7] * h1 + f[8] * h2
-    ix = f[0] * i0 + f[1] * i1 + f[2] * i2
-    iy = f[3] * i0 + f[4] * i1 + f[5] * i2
-    iz = f[6] * i0 + f[7] * i1 + f[8] * i2
+    x, y, z = _in_frame(f, h0, h1, h2)
+    ix, iy, iz = _in_frame(f, i0, i1, i2)
     beckmann, ward, flat, inverse_root, root, power = kind
     u0, u1 = ea * x + c * y, eb * y
     q = u0 * u0 + u1 * u1
@@ -104,12 +106,8 @@ def shared_point(h0, h1, h2, i0, i1, i2, f, ea, eb, c, kind):
 @kernel(fastmath=FAST, error_model="numpy", inline="always")
 def ggx_point(h0, h1, h2, i0, i1, i2, f, ea, eb, c, kind):
     """The same of the GGX lobe, which has no exponential to share; `kind` is not used."""
-    x = f[0] * h0 + f[1] * h1 + f[2] * h2
-    y = f[3] * h0 + f[4] * h1 + f[5] * h2
-    z = f[6] * h0 + f[7] * h1 + f[8] * h2
-    ix = f[0] * i0 + f[1] * i1 + f[2] * i2
-    iy = f[3] * i0 + f[4] * i1 + f[5] * i2
-    iz = f[6] * i0 + f[7] * i1 + f[8] * i2
+    x, y, z = _in_frame(f, h0, h1, h2)
+    ix, iy, iz = _in_frame(f, i0, i1, i2)
     u0, u1 = ea * x + c * y, eb * y
     z = max(z, LIGHT_FLOOR)
     fs = ONE / (u0 * u0 + u1 * u1 + z * z)

@@ -13,9 +13,9 @@ from pipeline.formats.ply import write_ply
 from pipeline.geometry.mesh import Mesh, in_fixed_order
 from pipeline.geometry.rays import RayMesh
 from pipeline.rig.object_rendering import LOBE
+from pipeline.rig.surface.fineness import FINER, MOST_TRIANGLES
 from pipeline.rig.surface.read_maps import Rig
 from pipeline.rig.surface.search import SurfaceSettings, find_surface, footprint
-from stages.rig_surface_size import FINER, MOST_TRIANGLES
 
 from .clean import subdivided
 from .refine import following_normals

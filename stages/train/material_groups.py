@@ -21,9 +21,8 @@ from .splats.optimiser import adam_update
 
 APART = 4.0  # standard deviations between the means of two groups, at least. Halves of a bell lie 2.6 of theirs apart, those of
 # an even spread 3.5: one colour, however uneven, is not divided
-LEAST_SHARE = (
-    0.05  # of the splats in a group: fewer may be the blends at a border, a cavity that no light is known of, or a fleck
-)
+LEAST_SHARE = 0.05
+"""Of the splats in a group: fewer may be the blends at a border, a cavity that no light is known of, or a fleck."""
 MOST_GROUPS = 8
 ROUNDS = 20  # of moving the dividing plane of two groups to the middle of their means; it rests after a few
 LEAST_SPREAD = 0.02  # sRGB, 0..1: standard deviation that a group has at least, or blends at a sharp border were a colour
@@ -106,7 +105,10 @@ class GroupStep:
 
     @torch.no_grad()
     def step(self, model: SplatModel, groups: Groups, rates: Sequence[float]) -> None:
-        """Move the offsets in place, by `rates` of OFFSETS; call it while their gradients are still there."""
+        """Move the offsets in place, by `rates` of OFFSETS; call it while their gradients are still there.
+
+        Gradients that are not finite count as 0; each splat's own step counts them for the user (`splats.optimiser`).
+        """
         offsets = [model[name] for name in OFFSETS]
         given = [torch.zeros_like(t) if t.grad is None else t.grad for t in offsets]
         gradient = groups.sums(torch.nan_to_num(torch.stack(given, -1), nan=0.0, posinf=0.0, neginf=0.0))

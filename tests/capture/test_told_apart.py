@@ -193,7 +193,7 @@ def test_angles_in_radians_are_refused(tmp_path, text, refused):
     if not refused:
         load_config(tmp_path)
         return
-    with pytest.raises(UserError, match="these are radians"):
+    with pytest.raises(UserError, match="in radians"):
         load_config(tmp_path)
 
 

@@ -13,6 +13,8 @@ from pipeline.capture.naming.files import some
 MOST_TAGS = 100
 CURVES = (b"rTRC", b"gTRC", b"kTRC")
 EXIF_SPACES = {1: "sRGB", 2: "Adobe RGB"}
+STRAIGHT = 0.02
+"""How far the middle of a table may lie off a straight line, of its end; the curve of sRGB lies 0.29 below."""
 KINDS = {0: "float", 8: "8 bits", 16: "16 bits", 32: "32 bits"}
 
 
@@ -48,10 +50,6 @@ def profile_is_curved(profile: bytes) -> bool:
         return abs(middle / max(last, 1) - (count // 2) / (count - 1)) > STRAIGHT
     except struct.error:
         return False
-
-
-STRAIGHT = 0.02
-"""How far the middle of a table may lie off a straight line, of its end; the curve of sRGB lies 0.29 below."""
 
 
 def stated_words(curves: Mapping[Path, str]) -> list[str]:

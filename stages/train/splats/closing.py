@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from pipeline.geometry.occluder import tangent_frames
 from pipeline.geometry.rays import RayMesh
 
 from .gaussians import SplatModel, logit
@@ -18,7 +19,7 @@ from .gaussians import SplatModel, logit
 OPAQUE = 0.9  # opacity from which a splat surely hides what is behind it: nine in ten have more
 RAISED = 0.95  # of a splat that closes a hole, as at the start
 TILTS = ((0.0, 1), (30.0, 6), (60.0, 6))  # degrees from a splat's normal, and directions there, in which it is looked through
-DISC = 1.5  # sigmas, of an opaque splat's half side: three of these cover the gaps that overlapping Gaussians leave none of
+DISC = 1.5  # sigmas, of an opaque splat's half side: so wide, the squares of neighbours overlap as their Gaussians do
 WIDTH = 0.5  # of the distance to its neighbours, of a raised splat's sigma: as at the start
 NEIGHBOURS = 6  # of that distance
 OUTSIDE = 4.0  # half-sizes of the object from a splat at which its rays begin: beyond all of it
@@ -57,12 +58,12 @@ def looked_through(
 
     The squares [K] stand for opaque splats: means, unit outward normals [K, 3] and half their sides [K].
     """
-    x, y = tangents(facing)
+    x, y, _ = tangent_frames(facing).swapaxes(0, 1)
     corners = [means + half_sides[:, None] * (a * x + b * y) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
     first = 4 * np.arange(len(means))[:, None]
     triangles = np.concatenate([first + np.array([0, 1, 2]), first + np.array([0, 2, 3])])
     rays = RayMesh(np.stack(corners, 1).reshape(-1, 3), triangles)
-    along_x, along_y = tangents(normals)
+    along_x, along_y, _ = tangent_frames(normals).swapaxes(0, 1)
     found = np.zeros(len(points), bool)
     for tilt, count in TILTS:
         for turn in np.arange(count) * 2 * np.pi / count:
@@ -73,11 +74,3 @@ def looked_through(
             square = np.where(behind, hits.triangle % len(means), 0)
             found |= behind & ((facing[square] * inward).sum(-1) > 0)
     return found
-
-
-def tangents(normals: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Two unit vectors [N, 3] at right angles to unit normals [N, 3] and to each other."""
-    aside = np.where(np.abs(normals[:, :1]) < 0.7, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
-    x = np.cross(normals, aside)
-    x /= np.linalg.norm(x, axis=-1, keepdims=True)
-    return x, np.cross(normals, x)

@@ -1,14 +1,11 @@
-"""How fine a light stage's surface is made, and how many triangles that gives."""
+"""How many triangles a light stage's surface will have, before it is made."""
 
 from __future__ import annotations
 
 from pipeline.capture import Capture
+from pipeline.rig.surface.fineness import FINER, MOST_TRIANGLES
 from stages.object_share import object_share
 
-FINER = 0.5
-"""Of the mesh stage's `voxel_px`: normals place a surface within a tenth of a pixel, and fused pixels resolve half of one."""
-MOST_TRIANGLES = 1_000_000
-"""Beyond it triangles are not cut into four, and textures alone hold the detail."""
 A_VOXEL = 3.7
 """Triangles for each square voxel of four times the object's outline: 3.4 to 4.1 were measured on four objects."""
 
