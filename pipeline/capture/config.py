@@ -231,7 +231,9 @@ def _check_angles(config: CaptureConfig, refuse: Callable[[bool, str, object, st
         turned = [abs(a) for a in angles.values() if a]
         steps = [a / math.radians(15) for a in turned]
         written = bool(turned) and max(turned) <= 2 * math.pi and all(abs(s - round(s)) < ROUNDED for s in steps)
-        refuse(written, key, {name: float(a) for name, a in angles.items()}, "in degrees: these are multiples of 15 degrees in radians")
+        refuse(
+            written, key, {name: float(a) for name, a in angles.items()}, "in degrees: these are multiples of 15° in radians"
+        )
 
 
 def _check_poses(poses: PosesConfig, refuse: Callable[[bool, str, object, str], None]) -> None:
