@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from pipeline.engine.stage import StageRun
 from pipeline.errors import UserError
-from pipeline.formats.dataset_files import FITTED_LOBE
+from pipeline.formats.dataset_files import FITTED_LOBE, KEPT_SAMPLES
 from pipeline.rig.light_table import LightTable
 from pipeline.rig.lobe_names import LOBES
 from stages.olat.evidence.after_fits import Verdict
@@ -27,6 +27,7 @@ from stages.olat.known_geometry import KnownGeometry, known_geometry, nearest_po
 from stages.olat.maps.footprint import with_neighbours
 from stages.olat.maps.map_files import MapWriter
 from stages.olat.maps.preview import write_preview
+from stages.olat.maps.sample_pixels import SampleKeeper
 from stages.olat.parameters import OlatParameters, every
 from stages.olat.pixel_fit.fit_options import PASSES, SPECULAR_FITS, FitOptions
 from stages.olat.pixel_fit.lobe_choice import CANDIDATES, choose
@@ -151,6 +152,7 @@ class Part:
     piece: Piece
     band: Band
     rows: NDArray[np.float64]
+    keeper: SampleKeeper
 
 
 def fitted(
@@ -162,15 +164,20 @@ def fitted(
     geometry: KnownGeometry | None = None,
 ) -> Iterator[Part]:
     """Every piece, fitted in parts: one is finished and written while the next is fitted."""
+    keepers: dict[str, SampleKeeper] = {}
+    used = every(stage.parameters.lights) * np.arange(len(rig))
     for piece in pieces:
-        whole = piece.samples.band
-        own = -piece.job.camera.rays_through(whole.pixels)
-        for part in parts_of(whole, piece.job.camera.width):
+        job, whole = piece.job, piece.samples.band
+        if job.name not in keepers:
+            keepers[job.name] = SampleKeeper(job.mask, used, job.passes == "both")
+        own = -job.camera.rays_through(whole.pixels)
+        for part in parts_of(whole, job.camera.width):
             first, last = np.searchsorted(whole.pixels, (part.pixels[0], part.pixels[-1] + 1))
-            rows = fit_part(stage, piece.job, piece.samples, own, rig, settings, threads, (int(first), int(last)), geometry)
+            rows = fit_part(stage, job, piece.samples, own, rig, settings, threads, (int(first), int(last)), geometry)
+            keepers[job.name].add(piece.samples, rows, int(first))
             if part.bottom == whole.bottom:
                 piece.samples = Samples(whole, NOTHING, NOTHING)  # what is left is to write
-            yield Part(piece, part, rows)
+            yield Part(piece, part, rows, keepers[job.name])
 
 
 def write_camera(stage: StageRun, job: CameraJob, parts: Iterator[Part], settings: FitOptions) -> None:
@@ -179,14 +186,16 @@ def write_camera(stage: StageRun, job: CameraJob, parts: Iterator[Part], setting
     surface, verdict, directed = parameters.widths == "surface", Verdict(), 0
     asked = ("removed",) if settings.remove else ()
     misregistration: Misregistration | None = None
+    keeper: SampleKeeper | None = None
     with (
         stage.progress.bar(f"fitting {job.name}", int(job.mask.sum()), "px") as bar,
         MapWriter(stage.output / job.name, job.camera.width, job.camera.height, asked) as writer,
     ):
 
         def found() -> Iterator[tuple[Band, NDArray[np.float64]]]:
-            nonlocal misregistration
+            nonlocal misregistration, keeper
             for part in parts:
+                keeper = part.keeper
                 if misregistration is None:
                     say_shift(stage, job, part.piece.shift)
                     misregistration = part.piece.misregistration
@@ -199,6 +208,8 @@ def write_camera(stage: StageRun, job: CameraJob, parts: Iterator[Part], setting
             verdict.add(rows)
             directed += int(np.count_nonzero(rows[:, map_slices()["tangent"]].any(1)))
             writer.write(band, rows)
+    if keeper is not None:
+        keeper.write(stage.output / job.name / KEPT_SAMPLES)
     with ThreadPoolExecutor(1) as pool:
         picture = pool.submit(write_preview, stage.output / job.name / "preview.png", writer.preview)
         right, down = misregistration.shift() if misregistration is not None else (0.0, 0.0)
