@@ -77,6 +77,7 @@ def pot_trained(sun: float, scale: float) -> Trainer:
     return trainer
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("sun", [20.0, 1e5])
 def test_openings_are_told_from_what_a_sun_leaves_in_the_shade(sun):
     sources, truths = pot(sun)

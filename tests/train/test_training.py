@@ -257,6 +257,7 @@ def damaged(sources, name):
     return out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", ["black", "past half floats", "s0 zero", "more polarised than bright", "empty masks", "nothing valid in a view"]
 )
