@@ -54,7 +54,7 @@ def run(stage: StageRun) -> None:
 
 STAGE = Stage(
     name="train",
-    version=14,
+    version=15,
     parameters=TrainParameters,
     needs=("decode", "poses", "masks"),
     needed=needed,
