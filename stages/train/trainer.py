@@ -113,9 +113,9 @@ class Trainer:
     def fit_scale(self, view: View, rendered: Rendered) -> None:
         """Take a step of the last epoch's length into the closed form of light against albedo; `settle_scale` applies it."""
         p = self.parameters
-        if p.environment_activation == "exponential" and p.indirect not in LEARNT:
-            if self.iteration >= p.iterations - len(self.pyramids[0]):
-                self.scale_fit.add(view, rendered, self.mode, self.scene)
+        last_epoch = self.iteration >= p.iterations - len(self.pyramids[0])
+        if last_epoch and p.environment_activation == "exponential" and p.indirect not in LEARNT:
+            self.scale_fit.add(view, rendered, self.mode, self.scene)
 
     def settle_scale(self) -> dict[str, list[float]]:
         """Scale light and albedo after the last step; the factors by colour channel, where anything was fitted."""
