@@ -17,6 +17,8 @@ LEAST_FACTOR = 1.1
 """Of a focal length: below it is what calibrations differ by."""
 LEAST_SHIFT = 0.02
 """Of the longer side, for a principal point: the same."""
+HOPELESS = 1e6
+"""Misfit beyond any that is measured, finite so that a search can take differences of it."""
 AS_GOOD = 1.5
 """Factor of two misfits that noise makes."""
 MIRRORS = {"x": (-1.0, 1.0, 1.0), "y": (1.0, -1.0, 1.0), "z": (1.0, 1.0, -1.0)}
@@ -141,7 +143,7 @@ def best_focal(cameras: Sequence[Camera], misfit: Misfit) -> float | None:
     if k in (0, len(FACTORS) - 1):
         return None
     start = np.log(FACTORS[[k, k + 1]])[:, None]
-    fine = minimize(lambda p: misfit(with_focal(cameras, float(np.exp(p[0])))), start[0], method="Nelder-Mead",
+    fine = minimize(lambda p: min(misfit(with_focal(cameras, float(np.exp(p[0])))), HOPELESS), start[0], method="Nelder-Mead",
                     options={"initial_simplex": start, "xatol": 2e-3, "fatol": 0, "maxfev": 40})  # fmt: skip
     return float(np.exp(fine.x[0]))
 
@@ -151,8 +153,8 @@ def _shifts(cameras: Sequence[Camera], misfit: Misfit) -> Iterator[Slip]:
 
     def error(p: NDArray[np.float64]) -> float:
         if abs(p[0]) > np.log(FACTORS[-1]) or max(abs(p[1:])) > 0.5:
-            return float("inf")
-        return misfit(with_centre(with_focal(cameras, float(np.exp(p[0]))), p[1], p[2]))
+            return HOPELESS
+        return min(misfit(with_centre(with_focal(cameras, float(np.exp(p[0]))), p[1], p[2])), HOPELESS)
 
     start = np.array([[0, 0, 0], [0.3, 0, 0], [0, 0.1, 0], [0, 0, 0.1]])
     fine = minimize(error, start[0], method="Nelder-Mead",
