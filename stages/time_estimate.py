@@ -144,7 +144,7 @@ def train(capture: Capture, parameters: Any) -> Costs:
     }  # fmt: skip
 
 
-MIRRORS = {"split": 0.5, "lobe-4": 0.7, "lobe-12": 1.0, "lobe-24": 1.5, "tree-coarse": 2.5, "tree": 3.0, "tree-fine": 4.0}
+MIRRORS = {"split": 0.5, "lobe-4": 0.7, "lobe-12": 0.95, "lobe-48": 1.6, "tree-coarse": 2.5, "tree": 3.0, "tree-fine": 4.0}
 """Time of an object's pixel by `mirror`, beside the default's."""
 
 

@@ -92,7 +92,7 @@ class TrainParameters:
     fresnel: Fresnel = field(default="exact", metadata={"help": "Fresnel model of the radiance"})
     lobe: Distribution = field(default="beckmann", metadata={"help": "microfacet distribution of the specular lobe"})
     mirror: Mirror = field(
-        default="lobe-12",
+        default="lobe-24",
         metadata={"help": "mirrored light: a sum over facets, over a tree of texels, or the split sum (always with schlick)"},
     )
     environment_activation: Literal["exponential", "printed"] = field(
