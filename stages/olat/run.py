@@ -23,6 +23,7 @@ from pipeline.rig.light_table import LightTable
 from pipeline.rig.lobe_names import LOBES
 from stages.olat.evidence.after_fits import Verdict
 from stages.olat.evidence.before_fits import check_capture, check_rig
+from stages.olat.evidence.movement_told import say_undone, tell_movement
 from stages.olat.known_geometry import KnownGeometry, known_geometry, nearest_points
 from stages.olat.maps.footprint import with_neighbours
 from stages.olat.maps.map_files import MapWriter
@@ -34,7 +35,7 @@ from stages.olat.pixel_fit.lobe_choice import CANDIDATES, choose
 from stages.olat.pixel_fit.many_pixels import fit, load, ready
 from stages.olat.pixel_fit.result_layout import map_slices
 from stages.olat.reading.frame_reader import Samples, ahead
-from stages.olat.reading.misregistration import WARN_PX, Misregistration
+from stages.olat.reading.misregistration import Misregistration
 from stages.olat.reading.rig_cameras import PILOT, CameraJob, decoded, light_rig
 from stages.olat.reading.scanline_bands import Band, parts_of
 from stages.olat.reading.stream import Lanes, Piece
@@ -197,7 +198,7 @@ def write_camera(stage: StageRun, job: CameraJob, parts: Iterator[Part], setting
             for part in parts:
                 keeper = part.keeper
                 if misregistration is None:
-                    say_shift(stage, job, part.piece.shift)
+                    say_undone(stage, job, part.piece.undone)
                     misregistration = part.piece.misregistration
                 bar.advance(len(part.rows))
                 yield part.band, part.rows
@@ -212,27 +213,10 @@ def write_camera(stage: StageRun, job: CameraJob, parts: Iterator[Part], setting
         keeper.write(stage.output / job.name / KEPT_SAMPLES)
     with ThreadPoolExecutor(1) as pool:
         picture = pool.submit(write_preview, stage.output / job.name / "preview.png", writer.preview)
-        right, down = misregistration.shift() if misregistration is not None else (0.0, 0.0)
+        tell_movement(stage, job, misregistration)
         picture.result()
-    stage.note(f"{job.name}.drift_px", [round(right, 2), round(down, 2)])
-    if max(abs(right), abs(down)) > WARN_PX:
-        stage.warn(
-            f"{job.name}: the parallel pass lies {right:+.1f} px right and {down:+.1f} px down of the crossed one; "
-            "specular maps will show edges there: align the frames before, or capture again with the object fixed"
-        )
     stage.note(f"{job.name}.tangent_pixels", directed)
     verdict.tell(stage, job.name, lobe=job.passes == "both")
-
-
-def say_shift(stage: StageRun, job: CameraJob, shift: tuple[int, int]) -> None:
-    """Tell of a shift between the passes that was undone on reading."""
-    right, down = shift
-    if right or down:
-        stage.note(f"{job.name}.aligned_px", [right, down])
-        stage.warn(
-            f"{job.name}: the parallel pass lay {right:+d} px right and {down:+d} px down of the crossed one and was read back "
-            "into place; capture again with the object fixed for better maps"
-        )
 
 
 def fit_part(
