@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.formats.arrays import read_arrays
+from pipeline.formats.arrays import array_names, read_array
 
 NUMBERS = (
     "diffuse_albedo", "specular_albedo", "diffuse_normal", "specular_normal", "tangent", "sigma", "residual",
@@ -60,6 +60,6 @@ def read_kept_samples(path: Path) -> KeptSamples:
     Raises:
         UserError: the file is damaged.
     """
-    found = read_arrays(path, lambda name: True)
+    found = {name: read_array(path, name) for name in array_names(path)}
     numbers = {name: found[name] for name in NUMBERS}
     return KeptSamples(found["pixels"], found["lights"], found["cross"], found.get("parallel"), numbers)

@@ -34,9 +34,11 @@ def lobe_curves(
     for k, (o, n) in enumerate(zip(view, normal)):
         half = _tilted(o, n, tangent[k], angles)
         light = 2 * (half @ o)[:, None] * half - o
-        copies = [np.tile(v, (len(alone), 1)) for v in (o, n, n, tangent[k], sigma[k])]
+        of_view, of_normal, along, widths = (np.tile(v, (len(alone), 1)) for v in (o, n, tangent[k], sigma[k]))
         white = np.ones((len(light), 3))
-        found = render_pixels(lobe, *copies, np.full(len(alone), albedo[k]), light, white, 0.0, alone)
+        found = render_pixels(
+            lobe, of_view, of_normal, of_normal, along, widths, np.full(len(alone), albedo[k]), light, white, 0.0, alone
+        )
         out[k] = found[:, 1, 0].reshape(2, -1)
     return out
 

@@ -108,7 +108,7 @@ def _frames(root: Path) -> tuple[dict[str, tuple[dict[str, Any], dict[str, Any],
     tables = [p for name in TABLES for p in (root / OUTPUT / name,) if p.is_file()]
     if not tables:
         raise UserError(root / OUTPUT / TABLES[0], "is missing: the cameras", "copy the object's output/ beside Lights/")
-    found = {}
+    found: dict[str, tuple[dict[str, Any], dict[str, Any], Path]] = {}
     for path in tables:
         table = read_json(path)
         frames = table.get("frames") if isinstance(table, dict) else None

@@ -53,7 +53,7 @@ def tell_movement(stage: StageRun, job: CameraJob, passes: Misregistration | Non
         )
     between = None
     if passes is not None and job.passes == "both":
-        between = movement_between(*passes.means, passes.means[0] > 0, passes.step)
+        between = movement_between(passes.means[0], passes.means[1], passes.means[0] > 0, passes.step)
     if between is not None:
         stage.note(f"{job.name}.drift", between.as_json())
         if between.turned and between.furthest_px > WARN_PX and not shifted:

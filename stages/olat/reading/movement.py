@@ -135,7 +135,8 @@ def _rigid(places: NDArray[np.float64], shifts: NDArray[np.float64]) -> tuple[ND
     rows[:, 0, 0] = rows[:, 1, 1] = 1.0
     rows[:, 0, 2], rows[:, 1, 2] = -places[:, 1], places[:, 0]
     weight = np.ones(len(places))
-    answer, off = np.zeros(3), shifts
+    answer: NDArray[np.float64] = np.zeros(3)
+    off = shifts
     for _ in range(ROUNDS):
         scale = np.sqrt(weight)[:, None]
         answer = np.linalg.lstsq((rows * scale[..., None]).reshape(-1, 3), (shifts * scale).ravel(), rcond=None)[0]
