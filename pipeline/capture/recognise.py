@@ -17,7 +17,7 @@ from pipeline.capture.recognition.idle_tables import refuse_idle_tables
 from pipeline.errors import UserError
 from pipeline.geometry.camera_check import one_pose_words, refuse_one_place
 
-LIGHT_STAGES = ("ict_light_stage", "one_light_a_picture")
+LIGHT_STAGES = ("open_illumination", "ict_light_stage", "one_light_a_picture")
 """Layouts that a folder olat/ is read by, and not what lies beside it."""
 SHOWN = 12
 """Entries of an unknown folder that its error message lists."""
