@@ -19,6 +19,8 @@ LEAST_SHIFT = 0.02
 """Of the longer side, for a principal point: the same."""
 AS_GOOD = 1.5
 """Factor of two misfits that noise makes."""
+HOPELESS = 1e9
+"""Pixels: any misfit from here on is as bad."""
 MIRRORS = {"x": (-1.0, 1.0, 1.0), "y": (1.0, -1.0, 1.0), "z": (1.0, 1.0, -1.0)}
 Misfit = Callable[[Sequence[Camera]], float]
 """How badly some cameras fit the pictures: lower is better."""
@@ -106,7 +108,7 @@ def slips(cameras: Sequence[Camera], misfit: Misfit) -> Iterator[Slip]:
             f"a world mirrored in {axis} fits: check the handedness of the axes that the poses were written in",
         )
     for said, order in orders(len(cameras)):
-        moved = [_posed(camera, cameras[k]) for camera, k in zip(cameras, order)]
+        moved = [posed(camera, cameras[k]) for camera, k in zip(cameras, order)]
         yield Slip(moved, f"poses {said} fit: check which pose belongs to which picture")
     yield from _shifts(cameras, misfit)
 
@@ -130,7 +132,8 @@ def orders(count: int) -> Iterator[tuple[str, list[int]]]:
         yield "in the order of numbers (1, 2, 10, 11)", back
 
 
-def _posed(camera: Camera, other: Camera) -> Camera:
+def posed(camera: Camera, other: Camera) -> Camera:
+    """Give a camera another's pose."""
     return replace(camera, world_to_camera=other.world_to_camera)
 
 
@@ -141,7 +144,7 @@ def best_focal(cameras: Sequence[Camera], misfit: Misfit) -> float | None:
     if k in (0, len(FACTORS) - 1):
         return None
     start = np.log(FACTORS[[k, k + 1]])[:, None]
-    fine = minimize(lambda p: misfit(with_focal(cameras, float(np.exp(p[0])))), start[0], method="Nelder-Mead",
+    fine = minimize(lambda p: min(misfit(with_focal(cameras, float(np.exp(p[0])))), HOPELESS), start[0], method="Nelder-Mead",
                     options={"initial_simplex": start, "xatol": 2e-3, "fatol": 0, "maxfev": 40})  # fmt: skip
     return float(np.exp(fine.x[0]))
 
@@ -151,8 +154,8 @@ def _shifts(cameras: Sequence[Camera], misfit: Misfit) -> Iterator[Slip]:
 
     def error(p: NDArray[np.float64]) -> float:
         if abs(p[0]) > np.log(FACTORS[-1]) or max(abs(p[1:])) > 0.5:
-            return float("inf")
-        return misfit(with_centre(with_focal(cameras, float(np.exp(p[0]))), p[1], p[2]))
+            return HOPELESS
+        return min(misfit(with_centre(with_focal(cameras, float(np.exp(p[0]))), p[1], p[2])), HOPELESS)
 
     start = np.array([[0, 0, 0], [0.3, 0, 0], [0, 0.1, 0], [0, 0, 0.1]])
     fine = minimize(error, start[0], method="Nelder-Mead",
