@@ -79,7 +79,7 @@ def test_mosaics_of_different_exposures(tmp_path):
 
 def test_camera_raw_files_are_brought_to_one_exposure(tmp_path):
     (tmp_path / "images").mkdir()
-    for i, e in enumerate((1, 1, 3)):
+    for i, e in enumerate((1, 2, 3)):
         raw(tmp_path / "images" / f"{i}.dng", 800 * e, 0.01 * e)
     capture = open_capture(tmp_path)
     assert not capture.warnings and any("divided out" in fact for fact in capture.facts)
