@@ -139,7 +139,8 @@ def _rigid(places: NDArray[np.float64], shifts: NDArray[np.float64]) -> tuple[ND
     off = shifts
     for _ in range(ROUNDS):
         scale = np.sqrt(weight)[:, None]
-        answer = np.linalg.lstsq((rows * scale[..., None]).reshape(-1, 3), (shifts * scale).ravel(), rcond=None)[0]
+        left, right = (rows * scale[..., None]).reshape(-1, 3), (shifts * scale).ravel()
+        answer = np.asarray(np.linalg.lstsq(left, right, rcond=None)[0], np.float64)
         off = shifts - rows @ answer
         weight = 1.0 / np.maximum(np.linalg.norm(off, axis=1), FLOOR)
     residual = float(np.sqrt((off**2).sum(-1).mean()))
