@@ -43,13 +43,14 @@ def test_shift_and_turn_are_measured(turn, down, right):
     found = movement_between(blobs(), blobs(turn, down, right), disc())
     assert found is not None
     assert np.allclose([found.right, found.down], [right, down], atol=0.25) and abs(found.turn_deg - turn) < 0.3
-    assert found.turned == (turn != 0) and found.residual_px < 0.35
+    assert found.turned == (turn != 0) and found.residual_px < 0.35 and found.clear == any((turn, down, right))
     assert found.furthest_px == pytest.approx(np.hypot(right, down) + np.radians(abs(turn)) * 48, abs=0.6)
 
 
 def test_what_no_turn_explains_is_left():
     still, bent = (movement_between(blobs(), blobs(parallax=p), disc()) for p in (0.0, 2.0))
     assert still is not None and bent is not None and still.residual_px < 0.1 and bent.residual_px > 0.5
+    assert not still.clear
 
 
 def test_pictures_that_have_nothing_in_common_tell_nothing():

@@ -56,7 +56,7 @@ def tell_movement(stage: StageRun, job: CameraJob, passes: Misregistration | Non
         between = movement_between(passes.means[0], passes.means[1], passes.means[0] > 0, passes.step)
     if between is not None:
         stage.note(f"{job.name}.drift", between.as_json())
-        if between.turned and between.furthest_px > WARN_PX and not shifted:
+        if between.turned and between.clear and not shifted:
             stage.warn(
                 f"{job.name}: the parallel pass is turned by {between.turn_deg:+.2f} degrees against the crossed one "
                 f"({between.furthest_px:.1f} px at the object's edge{_left(between)}); specular maps will show edges there: "
@@ -67,7 +67,7 @@ def tell_movement(stage: StageRun, job: CameraJob, passes: Misregistration | Non
     if during is None:
         return
     stage.note(f"{job.name}.tracking", during.as_json())
-    if during.furthest_px > WARN_PX:
+    if during.clear:
         turn = f" and turned by {during.turn_deg:+.2f} degrees" if during.turned else ""
         stage.warn(
             f"{job.name}: between the frames under all lights before and after the pass the object moved "
@@ -77,4 +77,4 @@ def tell_movement(stage: StageRun, job: CameraJob, passes: Misregistration | Non
 
 
 def _left(movement: Movement) -> str:
-    return "" if movement.residual_px is None else f"; {movement.residual_px:.1f} px are left of it"
+    return f"; {movement.residual_px:.1f} px are left of it"

@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from stages.olat.reading.misregistration import best_shift, edges_of, inner_part
+from stages.olat.reading.misregistration import WARN_PX, best_shift, edges_of, inner_part
 
 TILES = 3  # across and down the object
 LEAST_TILE = 12  # pixels of a tile's side: its edges are found over an eighth of it at most
@@ -32,7 +32,7 @@ class Movement:
         right, down: shift of the object's middle, pixels.
         turn_deg: counter-clockwise as displayed.
         furthest_px: how far the object's furthest pixel moves.
-        residual_px: root mean square of what tiles are off that movement; None where too few could be measured.
+        residual_px: root mean square of what tiles are off that movement.
         turned: whether the turn is more than chance.
     """
 
@@ -40,14 +40,23 @@ class Movement:
     down: float
     turn_deg: float
     furthest_px: float
-    residual_px: float | None
+    residual_px: float
     turned: bool
+
+    @property
+    def by_turn_px(self) -> float:
+        """How far the turn alone moves the object's furthest pixel."""
+        return self.furthest_px - float(np.hypot(self.right, self.down))
+
+    @property
+    def clear(self) -> bool:
+        """Whether it mixes neighbouring pixels, and explains more than it leaves: highlights that differ are no movement."""
+        return self.furthest_px > max(WARN_PX, 2 * self.residual_px)
 
     def as_json(self) -> dict[str, object]:
         """For the manifest's facts."""
-        residual = None if self.residual_px is None else round(self.residual_px, 2)
         shift = [round(self.right, 2), round(self.down, 2)]
-        return {"shift_px": shift, "turn_deg": round(self.turn_deg, 3), "residual_px": residual}
+        return {"shift_px": shift, "turn_deg": round(self.turn_deg, 3), "residual_px": round(self.residual_px, 2)}
 
 
 def movement_between(

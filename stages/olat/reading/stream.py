@@ -102,7 +102,7 @@ def _found(passes: Misregistration) -> Undone:
     """What is to be undone: a turn with its shift where there clearly is one that matters, else a shift in whole pixels."""
     inside = passes.means[0] > 0
     movement = movement_between(passes.means[0], passes.means[1], inside, passes.step)
-    if movement is not None and movement.turned and movement.furthest_px - np.hypot(movement.right, movement.down) > WARN_PX:
+    if movement is not None and movement.turned and movement.clear and movement.by_turn_px > WARN_PX:
         rows, columns = np.nonzero(inside)
         about = Turn(-float(np.radians(movement.turn_deg)), passes.step * columns.mean(), passes.step * rows.mean())
         return Undone(movement.right, movement.down, about)
