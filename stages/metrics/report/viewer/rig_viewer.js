@@ -95,7 +95,7 @@ class RigViewer {
       '+': () => zoom(0.9), '=': () => zoom(0.9), '-': () => zoom(1 / 0.9), f: () => this.frame(),
       e: () => this.set({exposure: state.exposure + 0.25}), E: () => this.set({exposure: state.exposure - 0.25}),
       '.': () => this.set({camera: (state.camera + 1) % count}), ',': () => this.set({camera: (state.camera + count - 1) % count}),
-      v: () => { const box = canvas.getBoundingClientRect(); this.pointer = {clientX: box.left + box.width / 2, clientY: box.top + box.height / 2}; this.readOut(); }};
+      v: () => this.readMiddle()};
     canvas.addEventListener('keydown', event => {
       if (event.ctrlKey || event.metaKey || event.altKey) return;
       const number = '123456789'.indexOf(event.key), arrow = arrows[event.key];
@@ -107,6 +107,14 @@ class RigViewer {
       event.preventDefault();
     });
     new ResizeObserver(() => this.request()).observe(canvas);
+  }
+
+  // The values at the middle of the picture, for who has no pointer; away with them if they are shown.
+  readMiddle() {
+    if (this.pointer) { this.pointer = null; this.part('values').replaceChildren(); return; }
+    const box = this.canvas.getBoundingClientRect();
+    this.pointer = {clientX: box.left + box.width / 2, clientY: box.top + box.height / 2};
+    this.readOut();
   }
 
   readOut() {
