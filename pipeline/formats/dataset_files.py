@@ -10,6 +10,8 @@ from pathlib import Path
 CAMERAS = "cameras.json"
 MANIFEST = "manifest.json"
 MASKS = "masks.json"
+OLAT = "olat"
+"""Folder of the masks stage's that holds those of a light stage beside a capture's views."""
 POINTS = "points.ply"
 MESH = "mesh.ply"
 POISSON = "mesh_poisson.ply"

@@ -16,12 +16,9 @@ from pipeline.errors import UserError
 from pipeline.formats.dataset_files import MASKS
 from pipeline.formats.given_mask import THRESHOLD, GivenMask, read_given
 from pipeline.formats.images import read_stokes, write_png
-from pipeline.geometry.cameras import Camera
 from pipeline.geometry.lens import frame_table, frames_folder, lenses
-from pipeline.geometry.separate_worlds import ONE_WORLD
+from stages.masks.agreement import GIVEN, say_if_masks_disagree
 from stages.masks.parameters import choose_method
-
-CHECK_SIZE = 240
 
 
 def make_masks(stage: StageRun) -> None:
@@ -37,10 +34,8 @@ def make_masks(stage: StageRun) -> None:
         views[name] = {"method": methods[name], "coverage": float((mask > THRESHOLD).mean())}
         if views[name]["coverage"] == 0:
             views[name]["left_out"] = "the mask is empty"
-    refuse_two_worlds(stage, pixels)
-    if stage.parameters.hull_check and stage.capture.kind == "multiview":
-        flag_disagreement(stage, pixels, views)
     if stage.capture.kind == "multiview":
+        say_if_masks_disagree(stage, pixels, views)
         say_if_one_sided(stage)
         say_if_segmentation_failed(stage, pixels, methods)
     if stage.capture.polarisation == "stokes":
@@ -56,50 +51,6 @@ def make_masks(stage: StageRun) -> None:
         )
     table = {"schema": 1, "method": method, "reason": reason, "views": views}
     (stage.output / MASKS).write_text(json.dumps(table, indent=1) + "\n", encoding="utf-8")
-
-
-def flag_disagreement(stage: StageRun, masks: dict[str, NDArray[np.uint8]], views: dict[str, dict[str, Any]]) -> None:
-    """Hold the masks against each other's visual hull; tell the user of those that do not fit."""
-    from stages.masks.inputs import cameras_of
-
-    cameras = cameras_of(stage)
-    names = [name for name in sorted(masks) if name in cameras and (masks[name] > THRESHOLD).any()]
-    if len(names) < 3:
-        return
-    from stages.masks.hull_check import check_masks_agree
-
-    small = [shrunk(masks[name], cameras[name]) for name in names]
-    agreement = check_masks_agree([mask for mask, _ in small], [camera for _, camera in small])
-    if agreement is None:
-        return
-    for name, found in zip(names, agreement):
-        views[name].update(hull_excess=found.excess, hull_blame=found.blame, suspicious=found.suspicious)
-    flagged = [name for name, found in zip(names, agreement) if found.suspicious]
-    # A flag is only worth a line where most masks agree: else the cameras or the object's stillness are at fault.
-    if flagged and len(flagged) <= len(names) // 2:
-        stage.warn(
-            f"{stage.capture.root}: masks that disagree with the visual hull of the others: {some(flagged)}; look at them"
-        )
-    elif flagged and all(views[name]["method"] in GIVEN for name in flagged):
-        stage.warn(
-            f"{stage.capture.root}: most masks disagree with each other: check that cameras and masks are of the same views"
-        )
-
-
-def refuse_two_worlds(stage: StageRun, masks: dict[str, NDArray[np.uint8]]) -> None:
-    """Raise UserError where two physical cameras have poses of two worlds: each one's masks agree, not with the other's."""
-    from stages.masks.inputs import cameras_of
-
-    if stage.capture.kind != "multiview" or len(stage.capture.camera_names) < 2:
-        return
-    from stages.masks.worlds import other_world
-
-    cameras = cameras_of(stage)
-    names = [name for name in sorted(masks) if name in cameras and (masks[name] > THRESHOLD).any()]
-    small = [shrunk(masks[name], cameras[name]) for name in names]
-    pair = other_world([mask for mask, _ in small], [camera for _, camera in small])
-    if pair is not None:
-        raise UserError(stage.capture.root, f"the masks of {pair[0]} and {pair[1]} have no common hull", ONE_WORLD)
 
 
 def say_if_one_sided(stage: StageRun) -> None:
@@ -154,7 +105,6 @@ def say_if_inverted(stage: StageRun, masks: dict[str, NDArray[np.uint8]], method
         )
 
 
-GIVEN = ("given", "alpha")
 CONTOUR_VIEWS = 12
 
 
@@ -172,14 +122,6 @@ def say_if_frame_looks_wrong(stage: StageRun, masks: dict[str, NDArray[np.uint8]
     line = verdict(evidence)
     if line:
         stage.warn(f"{stage.capture.root}: {line}")
-
-
-def shrunk(mask: NDArray[np.uint8], camera: Camera) -> tuple[NDArray[np.bool_], Camera]:
-    """Mask and camera at a size that the check's voxels resolve."""
-    step = max(1, round(max(mask.shape) / CHECK_SIZE))
-    part = mask[: mask.shape[0] // step * step, : mask.shape[1] // step * step]
-    small = part.reshape(part.shape[0] // step, step, -1, step).mean((1, 3)) > THRESHOLD
-    return small, camera.resized(small.shape[1], small.shape[0]) if step > 1 else camera
 
 
 def given_masks(stage: StageRun, paths: Mapping[str, Path], what: str) -> dict[str, NDArray[np.uint8]]:

@@ -277,6 +277,7 @@ def test_a_linear_program_is_no_light_table(tmp_path):
 
 
 # ---- one framing, seen in the pictures -------------------------------------------------------------------------------
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [6, 8, 13, 40])
 @pytest.mark.parametrize("ambient", [0.0, 0.08])
 @pytest.mark.parametrize("name", ["{:03d}.png", "images/IMG_{:04d}.png"])

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from pipeline.capture.config import CaptureConfig
+from pipeline.capture.light_stage.folders import NOT_OF_A_STAGE
 from pipeline.capture.naming.files import subfolders
 from pipeline.errors import UserError
 from pipeline.rig.light_table import LightTable
@@ -16,7 +17,7 @@ SIGNS = (CSV, DIRECTIONS, "light_positions.txt", "LSX3_light_positions.txt", "LS
 
 def table_beside(root: Path) -> Path | None:
     """A light table among the files of a capture, or of a folder below it, by its name; None without one."""
-    for folder in (root, *subfolders(root)):
+    for folder in (root, *subfolders(root, NOT_OF_A_STAGE)):
         lower = {p.name.lower(): p for p in sorted(folder.iterdir()) if p.is_file() and not p.name.startswith(".")}
         found = next((lower[name.lower()] for name in SIGNS if name.lower() in lower), None)
         found = found or next((p for name, p in lower.items() if name.endswith(".lp") and _is_lp(p)), None)

@@ -1,0 +1,75 @@
+"""Wrong cameras whose outlines nearly agree are told by tangent planes of pairs of views; sound ones and poor masks are not."""
+
+from __future__ import annotations
+
+import re
+
+import cv2
+import numpy as np
+import pytest
+
+from pipeline.geometry.camera_slips import mirrored, turned, with_centre, with_focal
+from pipeline.geometry.outline_tangents import hull_points, tangent_errors
+from stages.masks.outline_check import misfit, outline_doubt
+from synth.ball import ring
+
+SIZE = 192
+CAMERAS = ring(12, SIZE, rises=(-0.1, 0.35, 0.6))
+CORNERS = np.random.default_rng(5).normal(size=(12, 3)) * [0.5, 0.35, 0.42]
+
+
+def silhouette(camera) -> np.ndarray:
+    """Mask of the convex hull of some points in space."""
+    pixels = cv2.convexHull(np.round((camera.project(CORNERS)[0] - 0.5) * 16).astype(np.int32))
+    return cv2.fillConvexPoly(np.zeros((SIZE, SIZE), np.uint8), pixels, 1, shift=4) > 0
+
+
+MASKS = {f"{k:03d}": silhouette(camera) for k, camera in enumerate(CAMERAS)}
+
+
+def doubt(cameras, masks=MASKS):
+    return outline_doubt(dict(zip(MASKS, cameras)), masks)
+
+
+def test_outlines_of_true_cameras_fit_to_a_fraction_of_a_pixel():
+    points = np.stack([hull_points(mask) for mask in MASKS.values()])
+    pairs, errors = tangent_errors(CAMERAS, points)
+    assert len(pairs) > 60 and np.median(np.abs(errors)) < 0.3 and misfit(CAMERAS, points) < 0.25
+    assert doubt(CAMERAS) is None
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        (with_focal(CAMERAS, 2), r"all focal lengths times 0.[45]\d fit"),
+        (with_focal(CAMERAS, 0.5), r"all focal lengths times (1.9|2.0)\d fit"),
+        (with_centre(CAMERAS, 0.08, -0.05), r"principal points at 9[67], 9[67] of 192x192 fit"),
+        (mirrored(CAMERAS, (-1, 1, 1)), "mirrored in x"),
+        (CAMERAS[::-1], "in the opposite order"),
+        (CAMERAS[1:] + CAMERAS[:1], "of the previous picture"),
+        ([CAMERAS[k] for k in sorted(range(12), key=str)], "in the order of numbers"),
+    ],
+)
+def test_one_mistake_of_all_cameras_is_named(wrong, words):
+    found = doubt(wrong)
+    assert found is not None and re.search(words, found.said) and not found.views
+
+
+def test_one_turned_camera_is_named_with_its_angle():
+    wrong = [turned(c, np.radians([0, 4, 0])) if k == 5 else c for k, c in enumerate(CAMERAS)]
+    found = doubt(wrong)
+    assert found is not None and found.views == ("005",) and "turned by 4.0 degrees" in found.said
+
+
+def test_poor_masks_and_noisy_poses_are_not_taken_for_wrong_cameras():
+    rng = np.random.default_rng(0)
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (5, 5))
+    grown = {view: cv2.dilate(m.astype(np.uint8), kernel) > 0 if k % 2 else m for k, (view, m) in enumerate(MASKS.items())}
+    noisy = [turned(c, np.radians(rng.normal(0, 0.3, 3))) for c in CAMERAS]
+    assert doubt(CAMERAS, grown) is None and doubt(noisy) is None
+
+
+def test_outlines_that_leave_the_picture_and_too_few_say_nothing():
+    wrong = with_focal(CAMERAS, 2)
+    assert doubt(wrong, {view: np.roll(m, -70, 0) | (np.arange(SIZE)[:, None] < 2) for view, m in MASKS.items()}) is None
+    assert doubt(wrong, dict(list(MASKS.items())[:3])) is None
