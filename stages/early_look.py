@@ -150,9 +150,12 @@ def _task(capture: Capture, step: Step, whole: bool) -> tuple[Task, Any] | None:
 
 
 def _look_at_cameras(run: StageRun) -> None:
+    from stages.masks.agreement import say_if_pictures_do_not_fit
     from stages.masks.run import say_if_one_sided
 
     say_if_one_sided(run)
+    if run.parameters.hull_check:
+        say_if_pictures_do_not_fit(run, {})
 
 
 def _look_at_maps(run: StageRun) -> None:

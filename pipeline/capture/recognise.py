@@ -12,12 +12,13 @@ from pipeline.capture.light_stage.beside_views import folder_beside, joined, rea
 from pipeline.capture.model import Capture
 from pipeline.capture.naming.files import refuse_duplicates
 from pipeline.capture.naming.safe_names import refuse_special_files
+from pipeline.capture.recognition.copies import copied_pictures
 from pipeline.capture.recognition.foreign import foreign_warnings, lost_links, refuse_unreadable, refuse_without_pictures
 from pipeline.capture.recognition.idle_tables import refuse_idle_tables
 from pipeline.errors import UserError
 from pipeline.geometry.camera_check import one_pose_words, refuse_one_place
 
-LIGHT_STAGES = ("ict_light_stage", "one_light_a_picture")
+LIGHT_STAGES = ("open_illumination", "ict_light_stage", "one_light_a_picture")
 """Layouts that a folder olat/ is read by, and not what lies beside it."""
 SHOWN = 12
 """Entries of an unknown folder that its error message lists."""
@@ -87,4 +88,5 @@ def _checked(capture: Capture) -> Capture:
         refuse_one_place(capture.cameras, capture.camera_file)
     refuse_idle_tables(capture)
     twins = one_pose_words(capture.cameras, capture.camera_file) if capture.kind == "multiview" and capture.cameras else []
-    return replace(capture, warnings=(*capture.warnings, *twins, *foreign_warnings(capture), *lost_links(capture.root)))
+    found = (*twins, *copied_pictures(capture), *foreign_warnings(capture), *lost_links(capture.root))
+    return replace(capture, warnings=(*capture.warnings, *found))

@@ -21,6 +21,8 @@ HOPELESS = 1e6
 """Misfit beyond any that is measured, finite so that a search can take differences of it."""
 AS_GOOD = 1.5
 """Factor of two misfits that noise makes."""
+HOPELESS = 1e9
+"""Pixels: any misfit from here on is as bad."""
 MIRRORS = {"x": (-1.0, 1.0, 1.0), "y": (1.0, -1.0, 1.0), "z": (1.0, 1.0, -1.0)}
 Misfit = Callable[[Sequence[Camera]], float]
 """How badly some cameras fit the pictures: lower is better."""
@@ -108,7 +110,7 @@ def slips(cameras: Sequence[Camera], misfit: Misfit) -> Iterator[Slip]:
             f"a world mirrored in {axis} fits: check the handedness of the axes that the poses were written in",
         )
     for said, order in orders(len(cameras)):
-        moved = [_posed(camera, cameras[k]) for camera, k in zip(cameras, order)]
+        moved = [posed(camera, cameras[k]) for camera, k in zip(cameras, order)]
         yield Slip(moved, f"poses {said} fit: check which pose belongs to which picture")
     yield from _shifts(cameras, misfit)
 
@@ -132,7 +134,8 @@ def orders(count: int) -> Iterator[tuple[str, list[int]]]:
         yield "in the order of numbers (1, 2, 10, 11)", back
 
 
-def _posed(camera: Camera, other: Camera) -> Camera:
+def posed(camera: Camera, other: Camera) -> Camera:
+    """Give a camera another's pose."""
     return replace(camera, world_to_camera=other.world_to_camera)
 
 

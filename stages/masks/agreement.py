@@ -59,15 +59,37 @@ def _refuse_two_worlds(stage: StageRun, small: Mapping[str, tuple[NDArray[np.boo
 def _say_if_cameras_do_not_fit(
     stage: StageRun, masks: Mapping[str, NDArray[np.uint8]], cameras: Mapping[str, Camera], views: Mapping[str, dict[str, Any]]
 ) -> bool:
-    """Whether the capture's own masks show what is wrong with the capture's own cameras; a line if so."""
+    """Whether the capture's own masks, or else its pictures, show what is wrong with its own cameras; a line if so."""
     if stage.capture.cameras is None:
         return False
     from stages.masks.outline_check import outline_doubt
 
     given = {name: masks[name] > THRESHOLD for name in masks if views[name]["method"] in GIVEN}
     found = outline_doubt(cameras, given)
+    if found is None:
+        return say_if_pictures_do_not_fit(stage, given)
+    stage.warn(f"{stage.capture.camera_file}: {found}")
+    return True
+
+
+def say_if_pictures_do_not_fit(stage: StageRun, masks: Mapping[str, NDArray[np.bool_]]) -> bool:
+    """Hold the capture's own cameras against points that its pictures share; a line where they do not fit.
+
+    Args:
+        stage: the run.
+        masks: True where to look, by view; views without one are looked at all over. [H, W] each
+
+    Returns:
+        Whether there was a line.
+    """
+    from stages.masks.inputs import cameras_of, frame_s0
+    from stages.masks.picture_check import picture_doubt
+
+    if stage.capture.cameras is None:
+        return False
+    found = picture_doubt(cameras_of(stage), lambda view: frame_s0(stage, view).mean(-1), masks)
     if found is not None:
-        stage.warn(f"{stage.capture.camera_file}: {found.said}")
+        stage.warn(f"{stage.capture.camera_file}: {found}")
     return found is not None
 
 

@@ -19,7 +19,7 @@ class MasksParameters:
         default=None, metadata={"help": "folder of a Segment-Anything model (transformers' save_pretrained)"}
     )
     prompt: Literal["points", "box"] = field(default="points", metadata={"help": "what SAM is prompted with"})
-    hull_check: bool = field(default=True, metadata={"help": "flag masks that disagree with the visual hull"})
+    hull_check: bool = field(default=True, metadata={"help": "hold masks, given cameras and pictures against each other"})
     max_size: int = field(default=480, metadata={"help": "segmentation works at this longer side (px), edges at full size"})
 
 

@@ -117,7 +117,7 @@ def run(stage: StageRun) -> None:
 
 STAGE = Stage(
     name="olat",
-    version=14,
+    version=15,
     parameters=OlatParameters,
     needs=("decode", "masks"),
     needed=needed,

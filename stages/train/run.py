@@ -51,7 +51,6 @@ def train(stage: StageRun) -> None:
     backend = "cpu" if stage.device == "cpu" else "cuda"
     trainer = Trainer(start.scene, start.pyramids, mode, start.frame, parameters, backend, measured(start, stage, backend))
     history = optimise(trainer, stage, started)
-    scaled = trainer.settle_scale()
     closed = close_holes(trainer.scene.model) if openings_share(trainer) == 0 else 0
     if trainer.scene.bank is not None:
         finish_polarisers(trainer, stage)
@@ -63,7 +62,6 @@ def train(stage: StageRun) -> None:
     stage.note("splats", len(trainer.scene.model))
     stage.note("iterations", trainer.iteration)
     stage.note("hollowed", [round(share, 4) for share in trainer.upkeep.hollowed])
-    stage.note("scaled", scaled)
     stage.note("holes_closed", closed)
     stage.note("openings", round(openings_share(trainer), 5))
     checkpoint.clear(stage.scratch)

@@ -11,7 +11,6 @@ import torch
 
 from pipeline.shading import Occlusion
 
-from .albedo_light_fit import ScaleFit
 from .evaluate import validation_psnr
 from .indirect.trust import trusted
 from .material_groups import OFFSETS, GroupStep
@@ -30,7 +29,6 @@ from .views.source_views import Mode
 from .views.training_frame import SceneFrame
 from .views.view import View, spread, thinned
 
-LEARNT = ("gridmap", "sh")  # ways of indirect light that are no multiple of the environment
 ANGLE_STEPS = (200, 300)  # steps at which unknown polariser angles are solved for outright; descent does the rest
 
 
@@ -61,7 +59,7 @@ class Trainer:
         self.scene, self.mode, self.frame, self.parameters = scene, mode, frame, parameters
         self.pyramids, self.priors = pyramids, priors
         self.adam = SurfaceAdam(step_rules(mode))
-        self.scale_step, self.scale_fit = ScaleStep(), ScaleFit()
+        self.scale_step = ScaleStep()
         self.group_step = GroupStep()
         self.renderer = Renderer(scene, parameters, backend)
         if mode != "stokes":
@@ -86,7 +84,6 @@ class Trainer:
             terms |= self.priors.terms(rendered.splats, self.iteration)
         torch.stack(list(terms.values())).sum().backward()
         self.update(rendered, phase)
-        self.fit_scale(view, rendered)
         self.iteration += 1
         told = {name: value.detach() for name, value in terms.items() if name != "surface"} | surface_parts
         return dict(zip(told, torch.stack([value.double() for value in told.values()]).tolist()))  # a GPU is waited for once
@@ -109,20 +106,6 @@ class Trainer:
             rules = (self.adam.rules[name.removesuffix("_offset")] for name in OFFSETS)  # as fast as what all splats share
             self.group_step.step(scene.model, scene.groups, tuple(phase.rates[""] * rule.rate for rule in rules))
         self.adam.step(scene.tensors(), phase.rates, scene.graph, phase.diffusion)
-
-    def fit_scale(self, view: View, rendered: Rendered) -> None:
-        """Take a step of the last epoch's length into the closed form of light against albedo; `settle_scale` applies it."""
-        p = self.parameters
-        last_epoch = self.iteration >= p.iterations - len(self.pyramids[0])
-        if last_epoch and p.environment_activation == "exponential" and p.indirect not in LEARNT:
-            self.scale_fit.add(view, rendered, self.mode, self.scene)
-
-    def settle_scale(self) -> dict[str, list[float]]:
-        """Scale light and albedo after the last step; the factors by colour channel, where anything was fitted."""
-        if not len(self.scale_fit.squares):
-            return {}
-        light, diffuse = self.scale_fit.apply(self.scene)
-        return {"light": [round(x, 4) for x in light.tolist()], "albedo": [round(x, 4) for x in (diffuse / light).tolist()]}
 
     def phase(self, iteration: int) -> Phase:
         """The schedule's settings at a step."""
@@ -200,7 +183,6 @@ class Trainer:
             "scene": self.scene.state(),
             "adam": self.adam.state(),
             "scale_step": self.scale_step.state(),
-            "scale_fit": self.scale_fit.state(),
             "group_step": self.group_step.state(),
             **({} if self.priors is None else {"priors": self.priors.state()}),
             **self.upkeep.state(),
@@ -211,7 +193,6 @@ class Trainer:
         self.scene.load(state["scene"])
         self.adam.load(state["adam"])
         self.scale_step.load(state["scale_step"])
-        self.scale_fit.load(state["scale_fit"])
         self.group_step.load(state["group_step"])
         if self.priors is not None:
             self.priors.load(state["priors"])

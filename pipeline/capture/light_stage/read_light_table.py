@@ -52,7 +52,7 @@ def light_table_file(root: Path, config: CaptureConfig) -> Path | None:
 
 def read_light_table(root: Path, config: CaptureConfig) -> tuple[LightTable, list[Path]]:
     """The lights, and the files that they were read from, the last of them named in errors. Raises UserError."""
-    from pipeline.rig.lp_light_tables import INTENSITIES, NAMES, read_directions, read_lp
+    from pipeline.rig.lp_light_tables import INTENSITIES, NAMES, read_directions, read_lp, read_position_array
 
     path = light_table_file(root, config)
     if path is None:
@@ -64,4 +64,6 @@ def read_light_table(root: Path, config: CaptureConfig) -> tuple[LightTable, lis
     if path.name.lower() == DIRECTIONS and path.is_file():
         beside = [p for p in (path.with_name(INTENSITIES), path.with_name(NAMES)) if p.is_file()]
         return read_directions(path), [*beside, path]
+    if path.suffix.lower() == ".npy" and path.is_file():
+        return read_position_array(path), [path]
     return read_lights_csv(path), [path]

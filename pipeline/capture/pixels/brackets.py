@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from pipeline.capture.config import RadiometryConfig
 from pipeline.capture.naming.grouping import Exposure
+from pipeline.capture.pixels.bracket_levels import bracket_doubt
 from pipeline.capture.pixels.linear import read_linear
 from pipeline.capture.pixels.linear_image import LinearImage
 from pipeline.capture.radiometry.exposure import known_seconds
@@ -43,11 +44,14 @@ def read_exposures(
             raise UserError(e.path, "its exposure is unknown", "name it _ev+1 or _exp0.01, or set radiometry.exposure_s")
     times = [float(s) for s in known if s is not None]
     light = [i.pixels if i.alpha is None else i.pixels[..., i.colours] for i in images]
-    pixels, lost = merge_exposures(light, [i.saturated for i in images], times)
+    clipped = [i.saturated for i in images]
+    linear = all(i.encoding == "linear" for i in images)
+    doubt = bracket_doubt(light, clipped, times) if linear else None  # a curve is not the same at all levels
+    pixels, lost = merge_exposures(light, clipped, times)
     if first.alpha is not None:
         first.pixels[..., first.colours] = pixels
         pixels = first.pixels  # with its own alpha
-    return LinearImage(pixels, first.names, lost, first.bits, first.orientation, None, first.encoding, first.frame)
+    return LinearImage(pixels, first.names, lost, first.bits, first.orientation, None, first.encoding, first.frame, doubt)
 
 
 def merge_exposures(

@@ -24,7 +24,7 @@ def balance(light: NDArray[np.float32], radiometry: RadiometryConfig) -> None:
 @dataclass
 class LinearImage:
     """Linear pixels [H, W, C] float32 with their channel names; saturated [H, W]; orientation is EXIF's (1 upright);
-    frame: of an EXR, what became of its windows and primaries."""
+    frame: of an EXR, what became of its windows and primaries; doubt: what does not fit, of several exposures."""
 
     pixels: NDArray[np.float32]
     names: tuple[str, ...]
@@ -34,6 +34,7 @@ class LinearImage:
     exposure_s: float | None = None
     encoding: str = "linear"
     frame: ExrFrame | None = None
+    doubt: str | None = None
 
     @property
     def colours(self) -> list[int]:

@@ -94,6 +94,8 @@ def finished(view: DecodedView, path: Path, image: LinearImage | None = None, wh
         view.faults |= faults
     if image is not None:
         view.faults |= primaries_remark(image.frame)
+    if image is not None and image.doubt is not None:
+        view.faults[image.doubt] = 0
     if image is not None and image.orientation != 1:
         turned = f"EXIF rotation {image.orientation} is not applied: frames stay as the sensor saw them"
         view.faults[f"{turned}; check that cameras and masks are of the unrotated pictures"] = 0
