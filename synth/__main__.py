@@ -1,6 +1,6 @@
 """`python -m synth OUTPUT`: the tiny synthetic captures, OUTPUT/views and OUTPUT/stage.
 
-With `--only bowl`: OUTPUT/bowl, white plastic that lights itself.
+With `--only bowl`: OUTPUT/bowl, white plastic that lights itself; `--only printed`: OUTPUT/printed, the vase with print on it.
 With `--only anisotropic`: light stages of strongly anisotropic surfaces, OUTPUT/brushed, OUTPUT/rubble and one a `--mesh`.
 """
 
@@ -43,8 +43,8 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0, help="seed of all sampling")
     parser.add_argument(
         "--only",
-        choices=("views", "stage", "bowl", "anisotropic"),
-        help="make only one of the two, a white bowl, or the harder stages",
+        choices=("views", "stage", "bowl", "printed", "anisotropic"),
+        help="make only one of the two, a white bowl, a vase with a printed label, or the harder stages",
     )
     parser.add_argument("--mesh", type=Path, nargs="*", default=[], help="meshes for more anisotropic stages")
     parser.add_argument("--force", action="store_true", help="make again what is there")
@@ -67,9 +67,9 @@ def main() -> int:
                 options = {"name": name, "meshes": a.mesh, "size": a.size, "lights": a.lights, "seed": a.seed}
                 build(a.output / name, anisotropic.build, a.force, **options)
             return 0
-        if a.only == "bowl":
-            options = {"size": a.size, "views": a.views, "spp": a.spp, "seed": a.seed, "white_bowl": True}
-            build(a.output / "bowl", view_capture.make, a.force, **options)
+        if a.only in ("bowl", "printed"):
+            options = {"size": a.size, "views": a.views, "spp": a.spp, "seed": a.seed, "subject": a.only}
+            build(a.output / a.only, view_capture.make, a.force, **options)
             return 0
         if a.only != "stage":
             build(a.output / "views", view_capture.make, a.force, size=a.size, views=a.views, spp=a.spp, seed=a.seed)

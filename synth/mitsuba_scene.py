@@ -42,7 +42,7 @@ def load_mesh(shape: Shape, bsdf: dict[str, Any], textured: bool = True) -> Any:
 
 
 def texture(albedo: NDArray[np.float32]) -> dict[str, Any]:
-    """Describe a linear RGB texture to Mitsuba; row r covers v = (r + 1/2) / rows (Mitsuba's v runs upwards: it is flipped).
+    """Describe a linear RGB texture to Mitsuba; row r covers v = 1 - (r + 1/2) / rows.
 
     Args:
         albedo: linear, 0..1. [H, W, 3]

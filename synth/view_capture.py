@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,11 +12,13 @@ from numpy.typing import NDArray
 from pipeline.formats.backdrop import grown
 from pipeline.formats.images import STOKES, read_image, write_exr, write_png, write_rgb
 from pipeline.formats.ply import write_ply
-from pipeline.geometry.cameras import camera_from_opengl
+from pipeline.geometry.cameras import Camera, camera_from_opengl
 
 from . import mitsuba_scene
 from .environments import ENVIRONMENTS
 from .orbit import look_at, orbit
+from .print import printed
+from .seen_texture import seen_texture
 from .shape import Shape, bowl, glaze, vase
 
 ALPHA = 0.15  # Beckmann roughness
@@ -27,9 +29,10 @@ BOUNCES = 4
 WHITE, WHITE_BOUNCES = 0.9, 16  # of the bowl: half of what meets its inside leaves it each time
 RELIGHT_EVERY = 4  # every how many-th view has a truth under the other environment
 TRAINED, RELIT = "meadow", "studio"
+Subject = Literal["vase", "bowl", "printed"]
 
 
-def make(output: Path, size: int = 96, views: int = 16, spp: int = 144, seed: int = 0, white_bowl: bool = False) -> None:
+def make(output: Path, size: int = 96, views: int = 16, spp: int = 144, seed: int = 0, subject: Subject = "vase") -> None:
     """Write a multi-view capture.
 
     Args:
@@ -38,24 +41,27 @@ def make(output: Path, size: int = 96, views: int = 16, spp: int = 144, seed: in
         views: how many.
         spp: samples a pixel (1.3 s a view for 144 at 96x96 on two cores).
         seed: of the sampling.
-        white_bowl: a bowl of albedo WHITE, which lights itself, in place of the vase.
+        subject: the glazed vase; "bowl": a bowl of albedo WHITE, which lights itself; "printed": the vase with a printed label,
+            and the true albedo of every view.
     """
     import mitsuba as mi
 
     mi.set_variant("scalar_spectral_polarized")
     focal = size / 2 / np.tan(np.radians(HALF_FIELD_DEG))
     poses = [look_at(p) for p in orbit(views, DISTANCE, -8, 62)]
-    shape, bounces = (bowl(), WHITE_BOUNCES) if white_bowl else (vase(), BOUNCES)
+    white = subject == "bowl"
+    shape, bounces = (bowl(), WHITE_BOUNCES) if white else (vase(), BOUNCES)
+    albedo = printed()[::-1] if subject == "printed" else glaze()
     truth = output / "gt"
     write_rgb(truth / "env.hdr", ENVIRONMENTS[TRAINED](128))
     write_rgb(output / "envmaps" / f"{RELIT}.hdr", ENVIRONMENTS[RELIT](128))
     write_mesh(truth / "mesh.ply", shape)
-    diffuse = {"type": "rgb", "value": [WHITE] * 3} if white_bowl else {"type": "texture"}
+    diffuse = {"type": "rgb", "value": [WHITE] * 3} if white else {"type": "texture"}
     material = {"alpha": ALPHA, "ior": IOR, "diffuse": diffuse}
     (truth / "material.json").write_text(json.dumps(material, indent=1) + "\n")
     _write_transforms(output / "transforms.json", poses, size, focal)
 
-    colour = {"type": "rgb", "value": [WHITE] * 3} if white_bowl else mitsuba_scene.texture(glaze())
+    colour = {"type": "rgb", "value": [WHITE] * 3} if white else mitsuba_scene.texture(albedo)
     plastic = {"type": "pplastic", "diffuse_reflectance": colour, "alpha": ALPHA, "int_ior": IOR}
     mesh = mitsuba_scene.load_mesh(shape, plastic)
     lit = _scene(mesh, truth / "env.hdr")
@@ -67,6 +73,9 @@ def make(output: Path, size: int = 96, views: int = 16, spp: int = 144, seed: in
         write_exr(output / "images" / f"{name}.exr", {k: film[k] for k in STOKES}, half=True)
         write_png(output / "masks" / f"{name}.png", film["A"])
         _write_geometry(truth, name, lit, view, pose, seed + index)
+        if subject == "printed":
+            camera = Camera(size, size, focal, focal, size / 2, size / 2, camera_from_opengl(pose))
+            _write_material(truth / "material" / f"{name}.exr", shape, albedo, camera)
         if index % RELIGHT_EVERY == 0:
             other = _stokes(relit, view, seed + views + index, spp, bounces)
             write_exr(truth / "relight" / RELIT / f"{name}.exr", {k: other[k] for k in STOKES}, half=True)
@@ -100,6 +109,15 @@ def _write_geometry(truth: Path, name: str, lit: Any, view: Any, pose: NDArray, 
     point = np.stack([film[f"p.{c}"] for c in "XYZ"], -1)
     depth = point @ to_camera[2, :3] + to_camera[2, 3]
     write_exr(truth / "depth" / f"{name}.exr", {"Z": np.where(inside, depth, 0)})
+
+
+def _write_material(path: Path, shape: Shape, albedo: NDArray[np.float32], camera: Camera) -> None:
+    """Albedo, roughness and index of refraction of what each pixel shows; 0 beside the object."""
+    uv = np.stack([shape.uv[:, 0], 1 - shape.uv[:, 1]], -1)  # as `mitsuba_scene.texture` lays it on
+    colour, covered = seen_texture(shape.vertices, shape.faces, uv, albedo, camera)
+    channels = {f"albedo.{c}": colour[..., k] for k, c in enumerate("RGB")}
+    there = (covered > 0).astype(np.float32)
+    write_exr(path, {**channels, "roughness": there * np.sqrt(ALPHA), "ior": there * IOR}, half=True)
 
 
 def _touches(empty: NDArray[np.bool_]) -> NDArray[np.bool_]:

@@ -35,6 +35,7 @@ def stored(name: str) -> dict[str, Any]:
     return json.loads(path.read_text(encoding="utf-8")) if path.exists() else {"captures": {}}
 
 
+BY_NAME = ("assets", "textures")  # rows by name, each with what it was made with
 TRAIN, LIGHT, ABLATION = (stored(name) for name in ("train", "light", "ablation"))
 TRAIN_NOW = TrainParameters()
 ROWS = [(capture, row) for capture, rows in ABLATION["captures"].items() for row in rows]
@@ -106,12 +107,13 @@ def test_stored_meshes_were_made_with_today_s_defaults_and_mark_them():
         ("rasterize", {"screen_filter": SCREEN_FILTER, "layer": LAYER}),
         ("shading", {"mirror": TRAIN_NOW.mirror, "environment_resolution": TRAIN_NOW.environment_resolution}),
         ("assets", {"train": asdict(TRAIN_NOW), "mesh": asdict(MeshParameters()), "relight": asdict(RelightParameters())}),
+        ("textures", {"train": asdict(TRAIN_NOW), "mesh": asdict(MeshParameters())}),
     ],
 )  # fmt: skip
 def test_what_a_stored_result_says_it_was_made_with_is_today_s(name, now):
     """Results from before that was kept say so on their page."""
     found = stored(name)
-    listed = found if isinstance(found, list) else list(found.values()) if name == "assets" else [found]
+    listed = found if isinstance(found, list) else list(found.values()) if name in BY_NAME else [found]
     made = [row.get("made") for row in listed]
     table = json.loads(json.dumps(now if isinstance(now, dict) else asdict(now)))
     since = [(m.get("defaults_since", {}), changed(flat(m["defaults"]), flat(table))) for m in made if m]

@@ -7,8 +7,12 @@ import pytest
 
 from pipeline.capture import open_capture
 from pipeline.formats.images import read_image, read_stokes
+from pipeline.geometry.cameras import Camera, camera_from_opengl
 from synth.environments import ENVIRONMENTS, directions
-from synth.shape import bowl, vase
+from synth.orbit import look_at
+from synth.print import AROUND, INK, LABEL, LINES, PAPER, printed
+from synth.seen_texture import seen_texture
+from synth.shape import bowl, glaze, vase
 
 RGB = ("R", "G", "B")
 
@@ -111,3 +115,30 @@ def test_anisotropic_stages_are_light_stages_with_noise_and_clipping(tmp_path):
     frames = np.stack([read_image(path, RGB) for path in camera.parallel])
     assert len(frames) == 6
     assert frames.max() <= anisotropic.CLIP and frames.min() < 0  # half of the noise about black is below it
+
+
+def test_a_camera_sees_the_mean_of_a_texture_over_each_pixel():
+    square = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0.0]])
+    faces, uv = np.array([[0, 1, 2], [0, 2, 3]]), np.array([[0, 1], [1, 1], [1, 0], [0, 0.0]])  # the first row is on top
+    image = np.zeros((8, 8, 2), np.float32)
+    image[..., 0] = (np.arange(8) + 0.5) / 8  # to the right
+    image[:4, :, 1] = 1
+    camera = Camera(12, 12, 16.0, 16.0, 6.0, 6.0, camera_from_opengl(look_at(np.array([0, 0, 4.0]))))
+    seen, covered = seen_texture(square, faces, uv, image, camera)
+    across = (np.arange(8) + 0.5) / 8
+    assert covered[2:10, 2:10].min() == 1 and covered[:2].max() == 0  # 16 px a unit at 4: the square is 8 px wide
+    assert np.allclose(seen[2:10, 3:9, 0], across[1:7], atol=1e-3)
+    assert np.allclose(seen[2:5, 2:10, 1], 1, atol=1e-3) and np.allclose(seen[7:10, 2:10, 1], 0, atol=1e-3)
+
+
+def test_the_printed_label_is_ink_on_paper_that_reads_upright():
+    height = 512
+    albedo = printed(height)
+    first, last = (round(share * height) for share in LABEL)
+    label = albedo[first:last][::-1, : 2 * height // AROUND]  # from the top down
+    ink = np.isclose(label, INK, atol=1e-3).all(-1)
+    assert np.isclose(label, PAPER, atol=1e-3).all(-1).mean() > 0.6 and 0.03 < ink.mean() < 0.3
+    edges = np.flatnonzero(np.diff(ink.any(1).astype(int)))
+    lines = edges[1::2] - edges[::2]  # rows of each
+    assert len(lines) == len(LINES) and lines[0] > 1.5 * lines[-1]  # the largest is on top
+    assert np.array_equal(albedo[last:], glaze(height)[last:])

@@ -37,8 +37,9 @@ ModelViewer.prototype.listen = function () {
   new ResizeObserver(() => this.request()).observe(canvas);
 };
 
-// The values at the middle of the picture, for who has no pointer.
+// The values at the middle of the picture, for who has no pointer; away with them if they are shown.
 ModelViewer.prototype.readMiddle = function () {
+  if (this.pointer) { this.pointer = null; this.part('values').replaceChildren(); return; }
   const box = this.canvas.getBoundingClientRect();
   this.pointer = {clientX: box.left + box.width / 2, clientY: box.top + box.height / 2};
   this.readOut();

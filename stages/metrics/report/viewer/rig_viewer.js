@@ -126,7 +126,7 @@ class RigViewer {
       '+': () => zoom(0.9), '=': () => zoom(0.9), '-': () => zoom(1 / 0.9), f: () => this.frame(),
       e: () => this.set({exposure: state.exposure + 0.25}), E: () => this.set({exposure: state.exposure - 0.25}),
       '.': () => this.set({camera: (state.camera + 1) % count}), ',': () => this.set({camera: (state.camera + count - 1) % count}),
-      v: () => { this.pointer = this.centre(); this.readOut(); }, p: () => this.pick(this.centre())};
+      v: () => this.readMiddle(), p: () => this.pick(this.centre())};
     canvas.addEventListener('keydown', event => {
       if (event.ctrlKey || event.metaKey || event.altKey) return;
       const number = '123456789'.indexOf(event.key), arrow = arrows[event.key];
@@ -138,6 +138,13 @@ class RigViewer {
       event.preventDefault();
     });
     new ResizeObserver(() => this.request()).observe(canvas);
+  }
+
+  // The values at the middle of the picture, for who has no pointer; away with them if they are shown.
+  readMiddle() {
+    if (this.pointer) { this.pointer = null; this.part('values').replaceChildren(); return; }
+    this.pointer = this.centre();
+    this.readOut();
   }
 
   // The middle of the screen, as a pointer there.
