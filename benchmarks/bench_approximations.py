@@ -24,7 +24,7 @@ from pipeline.geometry.rays import RayMesh
 from pipeline.optics import fresnel, microfacet
 from pipeline.shading import Prefilter, latlong, prefilter, splitsum
 from stages.train.parameters import TrainParameters
-from stages.train.splats.splat_occlusion import DIFFUSE_RAYS, cosine_directions, local_to_world
+from stages.train.splats.splat_occlusion import DIFFUSE_RAYS, cosine_rays
 
 FILE = "approximations.json"
 ETA, POINTS = 1.5, 200_000
@@ -175,7 +175,7 @@ def occlusion_case(rays: int) -> dict[str, Any]:
 
     def share(count: int, chosen: np.ndarray) -> np.ndarray:
         turn = np.random.default_rng(1).random(len(chosen)).astype(np.float32) * 2 * np.pi
-        directions = local_to_world(cosine_directions(count), normals[chosen], turn)
+        directions = cosine_rays(count, normals[chosen], turn)
         return 1 - surface.blocked((vertices + 1e-3 * normals)[chosen][:, None], directions).mean(1)
 
     few = np.arange(0, len(vertices), 7)

@@ -45,4 +45,7 @@ def disk_estimate(capture: Capture, stages: Container[str]) -> list[tuple[str, f
             "relight": pixels * (STOKES_CHANNELS + 1) * BYTES_PER_VALUE * len(capture.environments) / MEBI,
             "metrics": 3.0,
         }  # fmt: skip
+        if capture.olat is not None:
+            beside = dict(disk_estimate(capture.olat, ("masks", "olat")))
+            per_stage |= {"masks": per_stage["masks"] + beside["masks"], "olat": beside["olat"]}
     return [(name, mb) for name, mb in per_stage.items() if name in stages]

@@ -77,6 +77,8 @@ def part_of(capture: Capture, pixels: float) -> tuple[Capture, bool]:
     """The capture, or evenly chosen views or lights of it that come to about so many pixels; and whether it is all of it."""
     if capture.light_stage is not None:
         return _lights_of(capture, capture.light_stage, pixels)
+    if capture.olat is not None and not part_of(capture.olat, pixels)[1]:
+        capture = replace(capture, olat=None)  # the views tell more, and the light stage alone is too large
     sizes = [view.size or _camera_size(capture, view.view) for view in capture.views]
     each = max((w * h * len(view.paths) for (w, h), view in zip(sizes, capture.views)), default=1)
     most = max(FEWEST_VIEWS, int(pixels / max(each, 1)))
@@ -140,7 +142,7 @@ def _task(capture: Capture, step: Step, whole: bool) -> tuple[Task, Any] | None:
         return _look_at_cameras, parameters
     if name == "relight":
         return _look_at_maps, parameters
-    if name == "olat" and whole:
+    if name == "olat" and whole and capture.one_light_at_a_time.light_stage is not None:
         from stages.olat.evidence.early import check_early
 
         return check_early, parameters

@@ -6,20 +6,21 @@ import json
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.capture.view_rules import held_back
 from pipeline.engine.dataset import Dataset
 from pipeline.errors import UserError
 from pipeline.formats import dataset_files as files
-from pipeline.formats.images import RGB, channel_names, read_image, srgb_encode, write_png
+from pipeline.formats.images import RGB, channel_names, read_image, srgb_encode, write_mask, write_png
 from pipeline.formats.json_file import read_json
 from pipeline.geometry.cameras import load_cameras
-from pipeline.geometry.lens import frames_folder
+from pipeline.geometry.lens import FRAMES, frames_folder
 
 WHITE = 0.995  # quantile of a capture's radiance that 8-bit pictures show as white
 
@@ -98,31 +99,66 @@ def _nerfstudio(dataset: Dataset, folder: Path) -> None:
     poses = _stage(dataset, "poses")
     table = read_json(poses / files.CAMERAS, "run the poses stage again")
     shown = _pictures(dataset, folder / "images")
+    frames = [frame for frame in table["frames"] if frame["view"] in shown]
     masks = dataset.current("masks")
-    frames = []
-    for frame in table["frames"]:
+    masked = {} if masks is None else {v: path for v in shown if (path := files.mask(masks.folder, v)).exists()}
+    entries = []
+    for frame in frames:
         view = frame["view"]
-        if view not in shown:
-            continue
         entry: dict[str, Any] = {**frame, "file_path": f"images/{view}.png"}
-        if masks is not None and files.mask(masks.folder, view).exists():
-            (folder / "masks").mkdir(exist_ok=True)
-            shutil.copyfile(files.mask(masks.folder, view), folder / "masks" / f"{view}.png")
+        if masked:
             entry["mask_path"] = f"masks/{view}.png"
-        frames.append(entry)
-    (folder / "transforms.json").write_text(json.dumps({**table, "frames": frames}, indent=1) + "\n")
+            _mask(masked.get(view), folder / entry["mask_path"], (frame["h"], frame["w"]))
+        entries.append(entry)
+    splits = _splits(_stage(dataset, "decode") / FRAMES, [frame["view"] for frame in frames])
+    (folder / "transforms.json").write_text(json.dumps({**table, **splits, "frames": entries}, indent=1) + "\n")
+
+
+def _mask(source: Path | None, path: Path, size: tuple[int, int]) -> None:
+    """A copy of a view's mask; all of the picture where it has none, since nerfstudio wants one of each frame or none."""
+    path.parent.mkdir(exist_ok=True)
+    if source is None:
+        write_mask(path, np.ones(size, bool))
+    else:
+        shutil.copyfile(source, path)
+
+
+def _splits(index: Path, views: Sequence[str]) -> dict[str, list[str]]:
+    """nerfstudio's lists of pictures by split: it holds back what our training does; empty where nothing is held back."""
+    table = read_json(index, "run the decode stage again")
+    apart = held_back(sorted(table["views"]), table.get("parts"))
+    test = [v for v in views if apart.get(v) == "test"]
+    lists = {
+        "train": [v for v in views if v not in apart],
+        "val": [v for v in views if apart.get(v) == "validation"] or test,
+        "test": test,
+    }
+    return {f"{split}_filenames": [f"images/{v}.png" for v in chosen] for split, chosen in lists.items()} if test else {}
 
 
 def _colmap(dataset: Dataset, folder: Path) -> None:
     """sparse/0 (text) with 8-bit pictures in images/."""
     poses = _stage(dataset, "poses")
-    shown = _pictures(dataset, folder / "images")
+    shown = _without_spaces(folder / "images", _pictures(dataset, folder / "images"))
     model = folder / "sparse" / "0"
     model.mkdir(parents=True)
     for name in ("cameras.txt", "points3D.txt"):
         shutil.copyfile(poses / "sparse" / name, model / name)
     lines = (poses / "sparse" / "images.txt").read_text(encoding="utf-8").splitlines()
     (model / "images.txt").write_text("\n".join(_renamed(line, shown) for line in lines) + "\n", encoding="utf-8")
+
+
+def _without_spaces(folder: Path, shown: Mapping[str, str]) -> dict[str, str]:
+    """The pictures by VIEW after white space in names became "_" or more: COLMAP's text ends a name at a space."""
+    out: dict[str, str] = {}
+    for view, name in shown.items():
+        plain, gap = name, "_"
+        while plain in out.values() or (plain != name and plain in shown.values()) or len(plain.split()) > 1:
+            plain, gap = gap.join(name.split()), gap + "_"
+        if plain != name:
+            os.replace(folder / name, folder / plain)
+        out[view] = plain
+    return out
 
 
 def _renamed(line: str, shown: Mapping[str, str]) -> str:

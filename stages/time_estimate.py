@@ -44,7 +44,8 @@ def decode(capture: Capture, parameters: Any) -> Costs:
         return {ITSELF: Cost(0.08 + (5e-4 + 0.02 * looked_at) * frames, 135.0 + 28 * looked_at), **_compiling("decode")}
     files = sum(len(view.paths) for view in capture.views)
     itself = 0.25 + 0.012 * files + 0.25 * _megapixels(capture) * files / max(1, len(capture.views))
-    return {ITSELF: Cost(itself, 195.0), **_compiling("decode")}
+    beside = decode(capture.olat, parameters)[ITSELF].cpu_s if capture.olat is not None else 0.0
+    return {ITSELF: Cost(itself + beside, 195.0), **_compiling("decode")}
 
 
 def poses(capture: Capture, parameters: Any) -> Costs:
@@ -137,13 +138,13 @@ def train(capture: Capture, parameters: Any) -> Costs:
         "concavities": Cost(4.0 if late else 0.0, 40.0),
         "polariser_angles": Cost(1.5 + 0.012 * (60 * starts + 80 * 5 + 100 * 2), 25.0 * starts),
         "polarisation_loss": Cost(0.09 * steps * step, 24 * pixels * share),
-        "start_from_points": Cost(0.5, 5.0),
+        "start_from_points": Cost(0.5, 5.0), "olat_priors": Cost(0.07 * steps * step, 10.0),
         "pixels outside the masks": Cost(steps * shaded / share * (1 - share), 100 * pixels * (1 - share)),
         **_compiling("train"),
     }  # fmt: skip
 
 
-MIRRORS = {"split": 0.5, "lobe-4": 0.7, "lobe-12": 1.0, "lobe-24": 1.5, "tree-coarse": 2.5, "tree": 3.0, "tree-fine": 4.0}
+MIRRORS = {"split": 0.5, "lobe-4": 0.7, "lobe-12": 0.95, "lobe-48": 1.6, "tree-coarse": 2.5, "tree": 3.0, "tree-fine": 4.0}
 """Time of an object's pixel by `mirror`, beside the default's."""
 
 

@@ -6,9 +6,16 @@ single tests were handed out, both processes trained and compiled the same.
 
 from __future__ import annotations
 
+import atexit
 import gc
+import os
 
 import pytest
+
+if "PYTEST_XDIST_WORKER" in os.environ:
+    # To take torch, numba and LLVM down piece by piece costs a worker seconds after its last test, for nothing: it is done.
+    # Registered before all that is imported below, so what those have to tidy up comes first.
+    atexit.register(os._exit, 0)
 
 FOLDERS = ("tests/end_to_end",)  # their files share the datasets of `conftest.py` there: they stay together too
 LONGEST = (

@@ -24,4 +24,20 @@ def ggx_roughness(roughness: NDArray[np.float32], lobe: str) -> NDArray[np.float
     Returns:
         Roughness of the nearest GGX lobe. [...]
     """
-    return roughness if lobe == GGX else roughness * np.float32(np.sqrt(GGX_FROM_GAUSSIAN))
+    return of_another_lobe(roughness, lobe, GGX)
+
+
+def of_another_lobe(roughness: NDArray[np.float32], lobe: str, wanted: str) -> NDArray[np.float32]:
+    """Roughness of the nearest lobe of another form.
+
+    Args:
+        roughness: of a lobe; alpha is its square. [...]
+        lobe, wanted: "ggx", or Gaussian ones, which are alike ("beckmann", "ward", Polarized Reflectance Fields' own).
+
+    Returns:
+        Roughness of the lobe `wanted`. [...]
+    """
+    if (lobe == GGX) == (wanted == GGX):
+        return roughness
+    ratio = np.float32(np.sqrt(GGX_FROM_GAUSSIAN))
+    return roughness * ratio if wanted == GGX else roughness / ratio

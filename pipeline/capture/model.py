@@ -161,6 +161,7 @@ class Capture:
         warnings, facts: for people, about what was found.
         clean_plates: background photographs by physical camera or view, for masks by difference.
         parts: "train", "validation" or "test" by VIEW, where the capture's own tables divide the views.
+        olat: of a multi-view capture, the light stage of the same object in its folder olat/: a capture of its own.
     """
 
     root: Path
@@ -181,6 +182,12 @@ class Capture:
     facts: tuple[str, ...] = ()
     clean_plates: dict[str, Path] = field(default_factory=dict)
     parts: dict[str, str] | None = None
+    olat: Capture | None = None
+
+    @property
+    def one_light_at_a_time(self) -> Capture:
+        """What of it was photographed one light at a time: the light stage beside its views where there is one, else itself."""
+        return self if self.olat is None else self.olat
 
     @property
     def camera_names(self) -> tuple[str, ...]:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from pipeline.capture.config import load_config
 from pipeline.capture.layouts import all_layouts
+from pipeline.capture.light_stage.beside_views import folder_beside, joined, read_beside
 from pipeline.capture.model import Capture
 from pipeline.capture.naming.files import refuse_duplicates
 from pipeline.capture.naming.safe_names import refuse_special_files
@@ -17,6 +18,8 @@ from pipeline.capture.recognition.idle_tables import refuse_idle_tables
 from pipeline.errors import UserError
 from pipeline.geometry.camera_check import one_pose_words, refuse_one_place
 
+LIGHT_STAGES = ("open_illumination", "ict_light_stage", "one_light_a_picture")
+"""Layouts that a folder olat/ is read by, and not what lies beside it."""
 SHOWN = 12
 """Entries of an unknown folder that its error message lists."""
 
@@ -49,15 +52,18 @@ def open_capture(path: Path | str) -> Capture:
     refuse_special_files(root)
     config = load_config(root)
     layouts = all_layouts()
+    beside = folder_beside(root)
     if config.layout is not None:
         chosen = [layout for layout in layouts if layout.name == config.layout]
         if not chosen:
             names = ", ".join(layout.name for layout in layouts)
             raise UserError(root / "capture.toml", f"layout = {config.layout!r} is not a layout", f"known: {names}")
-        return _checked(chosen[0].read(root, config))
+        return _with_stage(chosen[0].read(root, config), beside)
     for layout in layouts:
-        if layout.recognise(root):
-            return _checked(layout.read(root, config))
+        if (beside is None or layout.name not in LIGHT_STAGES) and layout.recognise(root):
+            return _with_stage(layout.read(root, config), beside)
+    if beside is not None:
+        return open_capture(beside)
     refuse_unreadable(root)
     refuse_without_pictures(root)
     looked = "; ".join(f"{layout.name}: {layout.looks_like}" for layout in layouts)
@@ -67,6 +73,12 @@ def open_capture(path: Path | str) -> Capture:
         f"no known capture layout. Found: {found}. Looked for {looked}",
         "see docs/captures.md, or set `layout` in capture.toml",
     )
+
+
+def _with_stage(capture: Capture, folder: Path | None) -> Capture:
+    """A capture, checked, with the light stage in `folder` where it is one of views."""
+    views = _checked(capture)
+    return views if folder is None or views.kind != "multiview" else joined(views, _checked(read_beside(views, folder)))
 
 
 def _checked(capture: Capture) -> Capture:

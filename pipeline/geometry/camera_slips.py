@@ -17,6 +17,8 @@ LEAST_FACTOR = 1.1
 """Of a focal length: below it is what calibrations differ by."""
 LEAST_SHIFT = 0.02
 """Of the longer side, for a principal point: the same."""
+HOPELESS = 1e6
+"""Misfit beyond any that is measured, finite so that a search can take differences of it."""
 AS_GOOD = 1.5
 """Factor of two misfits that noise makes."""
 HOPELESS = 1e9

@@ -22,6 +22,10 @@ class RayHits:
     uv: NDArray[np.float32]
     normal: NDArray[np.float32]
 
+    def of(self, rows: NDArray[np.int64]) -> RayHits:
+        """Those of some rays alone."""
+        return RayHits(self.distance[rows], self.triangle[rows], self.uv[rows], self.normal[rows])
+
     @property
     def hit(self) -> NDArray[np.bool_]:
         """Which rays meet anything [R]."""

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.errors import UserError
+from pipeline.formats.arrays import read_array
 from pipeline.rig.light_table import LightTable
 from pipeline.rig.lsx3_and_csv_light_tables import table_from_positions
 
@@ -43,6 +44,25 @@ def read_lp(path: Path) -> LightTable:
     if len(names) != int(lines[0]):
         raise UserError(path, f"counts {lines[0]} lights, but lists {len(names)}", "mend the count, or add the lines")
     return replace(table_from_positions(np.array(positions), path), names=tuple(names))
+
+
+def read_position_array(path: Path) -> LightTable:
+    """Read a NumPy array of light positions, as OpenIllumination has them (light_pos.npy).
+
+    Args:
+        path: the .npy, [N, 3].
+
+    Returns:
+        The lights, in the order of its rows.
+
+    Raises:
+        UserError: the file is damaged, or of another shape.
+    """
+    positions = read_array(path)
+    if positions.ndim != 2 or positions.shape[1] != 3 or positions.dtype.kind not in "fiu" or not len(positions):
+        fault = f"is no table of positions, but {positions.dtype} of {positions.shape}"
+        raise UserError(path, fault, "give [lights, 3] numbers")
+    return table_from_positions(positions.astype(np.float64), path)
 
 
 def read_directions(path: Path) -> LightTable:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
 from pipeline.capture import Capture
 from pipeline.engine.stage import Decision, Stage, StageRun
+from pipeline.formats.dataset_files import OLAT
 from stages import memory_estimate, time_estimate
 from stages.masks.parameters import MasksParameters, choose_method
+from stages.olat_beside_views import light_stage_run
 
 
 def needed(capture: Capture, parameters: MasksParameters) -> Decision:
@@ -21,7 +24,8 @@ def needed(capture: Capture, parameters: MasksParameters) -> Decision:
 def capture_files(capture: Capture) -> Iterable[Path]:
     """Given masks and clean plates; a light stage without mattes is segmented from its frames, which decode digests."""
     masks = sorted(capture.masks.values()) if isinstance(capture.masks, dict) else []
-    return [*masks, *sorted(set(capture.clean_plates.values()))]
+    beside = capture_files(capture.olat) if capture.olat is not None else ()
+    return [*masks, *sorted(set(capture.clean_plates.values())), *beside]
 
 
 def memory(capture: Capture, parameters: MasksParameters, jobs: int) -> float:
@@ -30,10 +34,15 @@ def memory(capture: Capture, parameters: MasksParameters, jobs: int) -> float:
 
 
 def run(stage: StageRun) -> None:
-    """Write VIEW.png for every view (light stage: camNN.png) and masks.json."""
+    """Write VIEW.png for every view (light stage: camNN.png) and masks.json; in olat/ those of a light stage beside views."""
     from stages.masks.run import make_masks
 
     make_masks(stage)
+    if stage.capture.olat is not None:
+        beside = replace(light_stage_run(stage), output=stage.output / OLAT, facts={})
+        beside.output.mkdir()
+        make_masks(beside)
+        stage.note(OLAT, beside.facts)
 
 
 STAGE = Stage(

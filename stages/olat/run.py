@@ -18,22 +18,24 @@ from numpy.typing import NDArray
 
 from pipeline.engine.stage import StageRun
 from pipeline.errors import UserError
-from pipeline.formats.dataset_files import FITTED_LOBE
+from pipeline.formats.dataset_files import FITTED_LOBE, KEPT_SAMPLES
 from pipeline.rig.light_table import LightTable
 from pipeline.rig.lobe_names import LOBES
 from stages.olat.evidence.after_fits import Verdict
 from stages.olat.evidence.before_fits import check_capture, check_rig
+from stages.olat.evidence.movement_told import say_undone, tell_movement
 from stages.olat.known_geometry import KnownGeometry, known_geometry, nearest_points
 from stages.olat.maps.footprint import with_neighbours
 from stages.olat.maps.map_files import MapWriter
 from stages.olat.maps.preview import write_preview
+from stages.olat.maps.sample_pixels import SampleKeeper
 from stages.olat.parameters import OlatParameters, every
 from stages.olat.pixel_fit.fit_options import PASSES, SPECULAR_FITS, FitOptions
 from stages.olat.pixel_fit.lobe_choice import CANDIDATES, choose
 from stages.olat.pixel_fit.many_pixels import fit, load, ready
 from stages.olat.pixel_fit.result_layout import map_slices
 from stages.olat.reading.frame_reader import Samples, ahead
-from stages.olat.reading.misregistration import WARN_PX, Misregistration
+from stages.olat.reading.misregistration import Misregistration
 from stages.olat.reading.rig_cameras import PILOT, CameraJob, decoded, light_rig
 from stages.olat.reading.scanline_bands import Band, parts_of
 from stages.olat.reading.stream import Lanes, Piece
@@ -151,6 +153,7 @@ class Part:
     piece: Piece
     band: Band
     rows: NDArray[np.float64]
+    keeper: SampleKeeper
 
 
 def fitted(
@@ -162,15 +165,20 @@ def fitted(
     geometry: KnownGeometry | None = None,
 ) -> Iterator[Part]:
     """Every piece, fitted in parts: one is finished and written while the next is fitted."""
+    keepers: dict[str, SampleKeeper] = {}
+    used = every(stage.parameters.lights) * np.arange(len(rig))
     for piece in pieces:
-        whole = piece.samples.band
-        own = -piece.job.camera.rays_through(whole.pixels)
-        for part in parts_of(whole, piece.job.camera.width):
+        job, whole = piece.job, piece.samples.band
+        if job.name not in keepers:
+            keepers[job.name] = SampleKeeper(job.mask, used, job.passes == "both")
+        own = -job.camera.rays_through(whole.pixels)
+        for part in parts_of(whole, job.camera.width):
             first, last = np.searchsorted(whole.pixels, (part.pixels[0], part.pixels[-1] + 1))
-            rows = fit_part(stage, piece.job, piece.samples, own, rig, settings, threads, (int(first), int(last)), geometry)
+            rows = fit_part(stage, job, piece.samples, own, rig, settings, threads, (int(first), int(last)), geometry)
+            keepers[job.name].add(piece.samples, rows, int(first))
             if part.bottom == whole.bottom:
                 piece.samples = Samples(whole, NOTHING, NOTHING)  # what is left is to write
-            yield Part(piece, part, rows)
+            yield Part(piece, part, rows, keepers[job.name])
 
 
 def write_camera(stage: StageRun, job: CameraJob, parts: Iterator[Part], settings: FitOptions) -> None:
@@ -179,16 +187,18 @@ def write_camera(stage: StageRun, job: CameraJob, parts: Iterator[Part], setting
     surface, verdict, directed = parameters.widths == "surface", Verdict(), 0
     asked = ("removed",) if settings.remove else ()
     misregistration: Misregistration | None = None
+    keeper: SampleKeeper | None = None
     with (
         stage.progress.bar(f"fitting {job.name}", int(job.mask.sum()), "px") as bar,
         MapWriter(stage.output / job.name, job.camera.width, job.camera.height, asked) as writer,
     ):
 
         def found() -> Iterator[tuple[Band, NDArray[np.float64]]]:
-            nonlocal misregistration
+            nonlocal misregistration, keeper
             for part in parts:
+                keeper = part.keeper
                 if misregistration is None:
-                    say_shift(stage, job, part.piece.shift)
+                    say_undone(stage, job, part.piece.undone)
                     misregistration = part.piece.misregistration
                 bar.advance(len(part.rows))
                 yield part.band, part.rows
@@ -199,29 +209,14 @@ def write_camera(stage: StageRun, job: CameraJob, parts: Iterator[Part], setting
             verdict.add(rows)
             directed += int(np.count_nonzero(rows[:, map_slices()["tangent"]].any(1)))
             writer.write(band, rows)
+    if keeper is not None:
+        keeper.write(stage.output / job.name / KEPT_SAMPLES)
     with ThreadPoolExecutor(1) as pool:
         picture = pool.submit(write_preview, stage.output / job.name / "preview.png", writer.preview)
-        right, down = misregistration.shift() if misregistration is not None else (0.0, 0.0)
+        tell_movement(stage, job, misregistration)
         picture.result()
-    stage.note(f"{job.name}.drift_px", [round(right, 2), round(down, 2)])
-    if max(abs(right), abs(down)) > WARN_PX:
-        stage.warn(
-            f"{job.name}: the parallel pass lies {right:+.1f} px right and {down:+.1f} px down of the crossed one; "
-            "specular maps will show edges there: align the frames before, or capture again with the object fixed"
-        )
     stage.note(f"{job.name}.tangent_pixels", directed)
     verdict.tell(stage, job.name, lobe=job.passes == "both")
-
-
-def say_shift(stage: StageRun, job: CameraJob, shift: tuple[int, int]) -> None:
-    """Tell of a shift between the passes that was undone on reading."""
-    right, down = shift
-    if right or down:
-        stage.note(f"{job.name}.aligned_px", [right, down])
-        stage.warn(
-            f"{job.name}: the parallel pass lay {right:+d} px right and {down:+d} px down of the crossed one and was read back "
-            "into place; capture again with the object fixed for better maps"
-        )
 
 
 def fit_part(

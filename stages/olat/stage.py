@@ -12,10 +12,12 @@ from pipeline.engine.progress import brief
 from pipeline.engine.stage import Decision, Stage, StageRun
 from stages import memory_estimate, time_estimate
 from stages.olat.parameters import OlatParameters
+from stages.olat_beside_views import light_stage_run
 
 
 def needed(capture: Capture, parameters: OlatParameters) -> Decision:
     """Where the capture is a light stage."""
+    capture = capture.one_light_at_a_time
     stage = capture.light_stage
     if stage is None:
         return Decision(False, "no one-light-at-a-time frames")
@@ -56,7 +58,7 @@ def second_fit(capture: Capture, parameters: OlatParameters) -> Decision:
 
 def capture_files(capture: Capture) -> Iterable[Path]:
     """The frames themselves: decode leaves only an index of them."""
-    stage = capture.light_stage
+    stage = capture.one_light_at_a_time.light_stage
     if stage is None:
         return []
     return [path for camera in stage.cameras.values() for path in camera.frames]
@@ -66,18 +68,20 @@ def given_files(capture: Capture, parameters: OlatParameters) -> tuple[Path, ...
     """The mesh that `geometry` names, if any. Raises UserError where it is none."""
     from stages.olat.known_geometry import geometry_file
 
-    found = geometry_file(capture, parameters.geometry) if parameters.geometry else None
+    found = geometry_file(capture.one_light_at_a_time, parameters.geometry) if parameters.geometry else None
     return () if found is None else (found,)
 
 
 def memory(capture: Capture, parameters: OlatParameters, jobs: int) -> float:
     """MiB at its peak."""
+    capture = capture.one_light_at_a_time
     again = second_fit(capture, parameters).run
     return memory_estimate.olat(capture, parameters, jobs, _compiled(capture, parameters), again)
 
 
 def costs(capture: Capture, parameters: OlatParameters) -> dict[str, Cost]:
     """What it takes, with what its passes take."""
+    capture = capture.one_light_at_a_time
     if capture.light_stage is None:
         return time_estimate.olat(capture, parameters, compiled=True)
     return time_estimate.olat(capture, parameters, _compiled(capture, parameters))
@@ -97,6 +101,7 @@ def run(stage: StageRun) -> None:
     from stages.olat.reading.stream import reading
     from stages.olat.zoo.solvers import SOLVERS, check_installed
 
+    stage = light_stage_run(stage)
     if stage.parameters.solver in SOLVERS:
         check_installed(stage.parameters.solver)
     if second_fit(stage.capture, stage.parameters).run:
@@ -112,7 +117,7 @@ def run(stage: StageRun) -> None:
 
 STAGE = Stage(
     name="olat",
-    version=14,
+    version=15,
     parameters=OlatParameters,
     needs=("decode", "masks"),
     needed=needed,

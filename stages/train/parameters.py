@@ -86,10 +86,13 @@ class TrainParameters:
     checkpoint_s: float = _p(20.0, "time between checkpoints (s)")
 
     polarisation: Literal["auto", Polarisation] = _p("auto", "which polarisation data to use")
+    olat_priors: Literal["auto", "off"] = _p(
+        "auto", "take what a light stage in the capture's folder olat/ measured as priors; auto: where there is one"
+    )
     fresnel: Fresnel = field(default="exact", metadata={"help": "Fresnel model of the radiance"})
     lobe: Distribution = field(default="beckmann", metadata={"help": "microfacet distribution of the specular lobe"})
     mirror: Mirror = field(
-        default="lobe-12",
+        default="lobe-24",
         metadata={"help": "mirrored light: a sum over facets, over a tree of texels, or the split sum (always with schlick)"},
     )
     environment_activation: Literal["exponential", "printed"] = field(

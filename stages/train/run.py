@@ -17,15 +17,18 @@ import torch
 
 from pipeline.formats import dataset_files as files
 from pipeline.geometry.lens import frames_folder
+from stages.olat_beside_views import maps_in_training
 
 from . import checkpoint
 from .angle_search import search_angles
 from .initialise.points import read_points
+from .olat_priors import OlatPriors
 from .parameters import TrainParameters
 from .setup import NO_POINTS, Start, prepare_training
 from .splats.closing import close_holes
 from .trainer import Trainer
 from .training_loop import optimise
+from .views.olat_maps import read_map_pixels
 from .views.source_views import SourceView, load_sources
 from .write_results import finish_polarisers, openings_share, say_lost_gradients, say_what_is_unexplained, write_results
 
@@ -46,7 +49,7 @@ def train(stage: StageRun) -> None:
     tell_start(start, stage)
     find_polarisers(start, sources, stage, points)
     backend = "cpu" if stage.device == "cpu" else "cuda"
-    trainer = Trainer(start.scene, start.pyramids, mode, start.frame, parameters, backend)
+    trainer = Trainer(start.scene, start.pyramids, mode, start.frame, parameters, backend, measured(start, stage, backend))
     history = optimise(trainer, stage, started)
     closed = close_holes(trainer.scene.model) if openings_share(trainer) == 0 else 0
     if trainer.scene.bank is not None:
@@ -71,6 +74,16 @@ def tell_start(start: Start, stage: StageRun) -> None:
     if not facts.masked and not facts.points:
         remedy = "make masks (masks.method) or find points (poses.triangulate)"
         stage.warn(f"neither masks nor points: everything in view of half the cameras is taken for the object; {remedy}")
+
+
+def measured(start: Start, stage: StageRun, backend: str) -> OlatPriors | None:
+    """What a light stage beside the views has measured, if it is to be used and shows anything."""
+    if "olat" not in stage.inputs or not maps_in_training(stage.capture, stage.parameters.olat_priors).run:
+        return None
+    cameras = read_map_pixels(stage, start.frame, start.pixel)
+    found = {camera.view.name: len(camera.view.pixels) for camera in cameras}
+    stage.note("olat_pixels", found)
+    return OlatPriors(cameras, backend) if cameras else None
 
 
 def find_polarisers(start: Start, sources: list[SourceView], stage: StageRun, points: np.ndarray = NO_POINTS) -> None:

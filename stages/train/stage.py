@@ -6,6 +6,7 @@ from pipeline.capture import Capture
 from pipeline.capture.view_rules import MIN_TRAINING_VIEWS
 from pipeline.engine.stage import Decision, Stage, StageRun
 from stages import memory_estimate, time_estimate
+from stages.olat_beside_views import maps_in_training
 
 from .parameters import TrainParameters
 
@@ -36,6 +37,7 @@ def needed(capture: Capture, parameters: TrainParameters) -> Decision:
     why_not = "switched off" if parameters.concavities == "off" else "only full Stokes is evidence enough"
     concavities = Decision(True, why) if parameters.searches_concavities(mode) else Decision(False, why_not)
     passes = {"polarisation_loss": polarised, "polariser_angles": angles, "indirect": indirect, "concavities": concavities}
+    passes["olat_priors"] = maps_in_training(capture, parameters.olat_priors)
     passes["pixels outside the masks"] = Decision(False, "only pixels of the object are rendered")
     return Decision(True, f"{len(capture.views)} views of one object", passes)
 
@@ -54,9 +56,9 @@ def run(stage: StageRun) -> None:
 
 STAGE = Stage(
     name="train",
-    version=14,
+    version=16,
     parameters=TrainParameters,
-    needs=("decode", "poses", "masks"),
+    needs=("decode", "poses", "masks", "olat"),
     needed=needed,
     run=run,
     config=("up", "polarisers"),

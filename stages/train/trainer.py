@@ -15,6 +15,7 @@ from .evaluate import validation_psnr
 from .indirect.trust import trusted
 from .material_groups import OFFSETS, GroupStep
 from .objective import loss_terms
+from .olat_priors import OlatPriors
 from .parameters import TrainParameters
 from .render_view import Rendered
 from .renderer import Renderer
@@ -41,6 +42,7 @@ class Trainer:
         frame: the training frame, for its exposure.
         parameters: the stage's.
         backend: rasteriser, "cpu", "cuda" or "reference".
+        priors: what a light stage has measured of the same object; None: nothing.
     """
 
     def __init__(
@@ -51,10 +53,11 @@ class Trainer:
         frame: SceneFrame,
         parameters: TrainParameters,
         backend: str,
+        priors: OlatPriors | None = None,
     ) -> None:
         parameters = replace(parameters, iterations=parameters.steps(mode))
         self.scene, self.mode, self.frame, self.parameters = scene, mode, frame, parameters
-        self.pyramids = pyramids
+        self.pyramids, self.priors = pyramids, priors
         self.adam = SurfaceAdam(step_rules(mode))
         self.scale_step = ScaleStep()
         self.group_step = GroupStep()
@@ -77,6 +80,8 @@ class Trainer:
             view = trusted(view, occlusion, self.iteration / self.parameters.iterations)
         rendered = self.renderer.render_under(view, occlusion)
         terms, surface_parts = loss_terms(self.weights(phase), self.mode, self.scene, view, rendered)
+        if self.priors is not None:
+            terms |= self.priors.terms(rendered.splats, self.iteration)
         torch.stack(list(terms.values())).sum().backward()
         self.update(rendered, phase)
         self.iteration += 1
@@ -179,6 +184,7 @@ class Trainer:
             "adam": self.adam.state(),
             "scale_step": self.scale_step.state(),
             "group_step": self.group_step.state(),
+            **({} if self.priors is None else {"priors": self.priors.state()}),
             **self.upkeep.state(),
         }
 
@@ -188,5 +194,7 @@ class Trainer:
         self.adam.load(state["adam"])
         self.scale_step.load(state["scale_step"])
         self.group_step.load(state["group_step"])
+        if self.priors is not None:
+            self.priors.load(state["priors"])
         self.upkeep.load(state)
         self.iteration = state["iteration"]

@@ -128,6 +128,7 @@ SPHERE = {"width": 320, "height": 160, "fx": 160 / np.pi, "fy": 160 / np.pi, "cx
           "lens": "EQUIRECTANGULAR"}  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("lens", "yaws", "degrees"),
     [(FISHEYE, (0, 10, -12), 30), (FISHEYE, (50, -55), 14), (SPHERE, (0, 100, 181), 25)],

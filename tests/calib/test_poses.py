@@ -67,6 +67,7 @@ def test_colmap_text_model_goes_round(corner, tmp_path):
         read_model(tmp_path)
 
 
+@pytest.mark.slow
 def test_existing_model_beside_photographs_is_used_as_it_is(corner, run_stages, tmp_path):
     images, cameras = corner
     photographs(tmp_path / "c", images)
@@ -125,6 +126,7 @@ def test_a_known_distance_sets_the_scale_and_a_known_focal_length_is_kept(corner
     assert found["000"].fx == 560.0
 
 
+@pytest.mark.slow
 def test_marker_of_known_length_sets_the_scale(corner, corner_scene, tmp_path):
     from stages.calib.poses.scale import world_scale
 

@@ -99,6 +99,7 @@ def around_a_ball(root, cameras):
     return root
 
 
+@pytest.mark.slow
 def test_a_side_that_no_view_sees_is_told_before_the_run_and_not_by_a_part_of_the_views(tmp_path, polarfield, monkeypatch):
     root = around_a_ball(tmp_path / "above", ball.ring(12, rises=(0.9,)))
     told = polarfield("plan", root).warnings
@@ -139,6 +140,7 @@ def stage(root, directions):
     (root / "lights.csv").write_text(ball.lights_csv(directions))
 
 
+@pytest.mark.slow
 def test_a_light_table_in_another_frame_is_told_before_any_fit(tmp_path, polarfield):
     directions = ball.light_directions(20)
     stage(tmp_path / "sound", directions)

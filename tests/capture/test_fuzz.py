@@ -182,6 +182,7 @@ def listing(root: Path) -> list[tuple[str, int, int]]:
     return sorted((str(p), p.lstat().st_size, p.lstat().st_mtime_ns) for p in root.rglob("*"))
 
 
+@pytest.mark.slow
 def test_sound_captures_are_read_without_a_word_more(sound, tmp_path):
     for name, root in sound.items():
         (tmp_path / name).mkdir()

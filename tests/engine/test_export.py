@@ -14,7 +14,7 @@ from pipeline.asset.asset import FORMATS as ASSET_FORMATS
 from pipeline.engine.dataset import Dataset
 from pipeline.errors import UserError
 from pipeline.formats.colmap import read_model
-from pipeline.formats.images import channel_names, image_size, read_image, srgb_decode, write_exr, write_mask
+from pipeline.formats.images import channel_names, image_size, read_image, read_mask, srgb_decode, write_exr, write_mask
 from pipeline.formats.ply import Ply, write_ply
 from pipeline.geometry.cameras import Camera, camera_from_opengl, frame_of, load_cameras, save_cameras
 from pipeline.splats.cloud import SplatCloud
@@ -97,6 +97,16 @@ def test_nerfstudio_finds_every_picture_and_mask_and_the_same_cameras(dataset):
     assert all(np.array_equal(ours[v].world_to_camera, theirs[v].world_to_camera) for v in VIEWS)
 
 
+def test_nerfstudio_gets_a_mask_of_every_frame_and_the_views_that_training_held_back(dataset):
+    (dataset.root / "masks" / f"{VIEWS[1]}.png").unlink()  # nerfstudio wants a mask of every frame, or of none
+    out = export(dataset, "nerfstudio", "")
+    table = json.loads((out / "transforms.json").read_text())
+    assert read_mask(out / table["frames"][1]["mask_path"]).all()
+    split = {name: table[f"{name}_filenames"] for name in ("train", "val", "test")}
+    assert split == {"train": ["images/b c.png"], "val": ["images/a.png"], "test": ["images/a.png"]}
+    assert set().union(*split.values()) == {frame["file_path"] for frame in table["frames"]}
+
+
 def test_pictures_share_one_exposure(dataset):
     out = export(dataset, "nerfstudio", "")
     dark, bright = (srgb_decode(read_image(out / "images" / f"{v}.png")) for v in VIEWS)
@@ -106,10 +116,14 @@ def test_pictures_share_one_exposure(dataset):
 
 def test_colmap_reads_the_model_and_its_pictures_are_there(dataset):
     out = export(dataset, "colmap", "")
+    import pycolmap
+
     names = set(read_model(out / "sparse" / "0").cameras)
     assert len(names) == len(VIEWS)
+    theirs = pycolmap.Reconstruction(str(out / "sparse" / "0"))
+    assert sorted(image.name for image in theirs.images.values()) == ["a.png", "b_c.png"]  # it ends a name at a space
     written = [line.split(" ", 9)[9] for line in (out / "sparse/0/images.txt").read_text().splitlines() if line[:1].isdigit()]
-    assert written == ["a.png", "b c.png"]
+    assert written == ["a.png", "b_c.png"]
     assert all((out / "images" / name).exists() for name in written)
 
 

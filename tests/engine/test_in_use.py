@@ -76,6 +76,7 @@ def test_the_file_and_the_links_tell_the_same(finished):
     assert recorded() == finished
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lose", [unlink_all, as_folders, as_text, without_file, without_work])
 def test_a_copied_dataset_keeps_its_results_through_collection_and_runs(command, finished, lose):
     lose(Path("d"))

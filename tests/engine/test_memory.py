@@ -48,6 +48,7 @@ def test_fewer_jobs_side_by_side_fit_into_less_and_what_does_not_fit_is_refused(
     assert wrong.status == 2 and "'lots' is not an amount of memory" in wrong.err
 
 
+@pytest.mark.slow
 def test_a_stage_that_takes_more_than_it_may_is_stopped_with_one_line_and_goes_on_later(hungry, capture, tmp_path):
     stages = cli.load_stages({})
     whole = stages["count"]

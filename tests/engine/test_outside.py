@@ -117,6 +117,7 @@ SHAPES = (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["dataset.json", "in_use.json", ".work/digests.json", ".work/verified.json", "manifest"])
 @pytest.mark.parametrize("text", SHAPES, ids=range(len(SHAPES)))
 def test_small_files_of_another_shape_are_one_line_or_no_matter(command, capture, name, text):

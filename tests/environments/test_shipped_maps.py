@@ -21,6 +21,7 @@ def capture(tmp_path):
     return Capture(tmp_path, "made up", "multiview", "none")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SHIPPED)
 def test_a_shipped_map_is_the_computed_one_and_as_bright_as_the_others(name):
     stored = read_image(shipped_map(name), RGB)

@@ -211,6 +211,7 @@ def all_faults() -> dict[str, list[str]]:
     return found
 
 
+@pytest.mark.slow
 def test_what_another_room_uses_says_what_goes_in_and_comes_out():
     faults = all_faults()
     assert not faults, "\n" + "\n".join(f"{place}: {'; '.join(what)}" for place, what in faults.items())

@@ -91,6 +91,7 @@ def sizes() -> tuple[dict[str, int], dict[str, int]]:
     return by_file, by_function
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "most", "listed"), [("files", FILE_LINES, LONG_FILES), ("functions", FUNCTION_LINES, LONG_FUNCTIONS)]
 )

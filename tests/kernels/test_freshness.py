@@ -72,6 +72,7 @@ def test_only_what_python_runs_counts(text, same) -> None:
     assert (facts_of(text.encode()).digest == facts_of(b"A = 1\ndef f():\n    return A\n").digest) == same
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "file", ["pipeline/kernels/numerics.py", "stages/olat/pixel_fit/fit_options.py", "pipeline/kernels/native.py"]
 )
@@ -90,6 +91,7 @@ def test_numbas_settings_count_unless_they_leave_the_code_alone(checkout) -> Non
     assert checkout.run(OLAT, NUMBA_OPT="1") != plain
 
 
+@pytest.mark.slow
 def test_a_damaged_memory_of_sources_is_made_anew(checkout) -> None:
     plain = checkout.run(OLAT)
     (memory,) = checkout.code.glob("sources-*.json")

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from scipy.spatial.transform import Rotation
 
 from stages.masks.worlds import other_world
@@ -20,6 +21,7 @@ def named(cameras, name, turn=None, scale=1.0, shift=(0, 0, 0)):
     return out
 
 
+@pytest.mark.slow
 def test_two_worlds_are_reported_and_one_is_not(views):
     even, odd = views.cameras[::2], views.cameras[1::2]
     masks = [*views.masks[::2], *views.masks[1::2]]

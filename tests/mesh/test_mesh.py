@@ -183,6 +183,7 @@ def test_stage_writes_an_asset_that_tells_where_it_was_baked_from(sphere_views, 
     assert all((folder / name).exists() for names in FORMATS.values() for name in names)
 
 
+@pytest.mark.slow
 def test_outlines_pull_a_shrunken_surface_back(sphere_views):
     views = sphere_views(1.0, size=96)
     shrunk = [type(v)(v.camera, np.where(v.depth > 0, v.depth + 0.03, 0).astype(np.float32), *vars_of(v)) for v in views]
@@ -202,6 +203,7 @@ def vars_of(view):
     return view.normal, view.material, view.alpha
 
 
+@pytest.mark.slow
 def test_discs_that_do_not_quite_cover_and_a_lid_that_stands_out_move_no_outline(sphere_views):
     views = sphere_views(1.0, size=96)
     mesh = fuse(views)

@@ -67,6 +67,7 @@ def ball_views(radius: float, size: int = 40) -> list[Ball]:
     return out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("radius", [1e-3, 1e4])
 def test_depths_come_out_of_normals_that_agree(radius):
     """The silhouettes' hull is off by percents; where four normal maps agree is known to a fraction of a pixel (6 % of r)."""
@@ -113,6 +114,7 @@ def test_known_distances_are_kept_and_completed():
         assert np.quantile(np.abs(distance - ball.distance)[inner & (distance > 0)], 0.95) < 0.02
 
 
+@pytest.mark.slow
 def test_a_volume_in_layers_is_the_volume_at_once(monkeypatch):
     """The grid is gone through a few layers at a time; the ball is the same, and its unseen back no spike."""
     balls = ball_views(1.0)

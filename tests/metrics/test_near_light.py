@@ -50,6 +50,7 @@ def found(*ways):
     return [convergence(places, share) for share in BRIGHTEST]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("distance", [1.8, 4.0])
 def test_a_lamp_is_found_with_its_distance(distance):
     at = distance * np.array((0.55, 0.65, 0.52))
@@ -58,6 +59,7 @@ def test_a_lamp_is_found_with_its_distance(distance):
         assert one.direction @ at / np.linalg.norm(at) > 0.98
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "lights", [[(0.5, 0.7, 0.5)], [(0.5, 0.7, 0.5), (0.2, 0.9, 0.5)], [(1, 0.5, 0), (-1, 0.5, 0), (0, 0.2, 1)]]
 )
@@ -65,5 +67,6 @@ def test_distant_lights_are_not_near_however_many(lights):
     assert not any(one.is_near for one in found(*[distant(*light) for light in lights]))
 
 
+@pytest.mark.slow
 def test_a_ball_without_highlights_tells_nothing():
     assert not all(one is not None and one.is_near for one in found())

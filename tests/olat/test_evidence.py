@@ -91,6 +91,7 @@ def test_a_sound_stage_without_highlights_is_not_doubted():
     assert judged(LIGHTS, ball(shine=0.0)) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("axis", [VIEW, np.array([0.0, 1, 0])], ids=["before", "above"])
 @pytest.mark.parametrize("degrees", [30, 60, 90])
 @pytest.mark.parametrize("noise, shine", [(0.0, 0.05), (0.01, 0.05), (0.003, 0.0), (0.03, 0.0)])
@@ -123,6 +124,7 @@ def test_pixels_without_crossed_light_are_passed_over():
     assert np.isnan(misfit[::3]).all() and np.nanmax(misfit) < 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("turn", list(turns())[1:], ids=spoken)
 def test_every_exchange_and_sign_of_axes_is_named(turn):
     (line,) = judged(LIGHTS @ turn)

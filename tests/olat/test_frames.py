@@ -135,7 +135,7 @@ def test_a_shifted_parallel_pass_is_found_and_read_back_into_place(tmp_path):
             paths[name].append(path)
     mask = np.zeros((height, width), bool)
     mask[8:72, 6:58] = True
-    found = measure(paths["cross"], paths["parallel"], mask, True, 1.0)
+    found = measure(paths["cross"], paths["parallel"], mask, True, 1.0).shift()
     assert np.allclose(found, (right, down), atol=0.3)
     bands = bands_of(mask, 8, 0.02, 2)
     for samples in read_bands(paths["cross"], paths["parallel"], bands, (width, height), True, shift=(right, down)):

@@ -77,6 +77,7 @@ def gsplat_in_torch(scene, torch_functions) -> SimpleNamespace:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("layer", [0.0, 0.3])
 def test_the_wiring_gives_the_reference_images(gsplat_torch, scene_named, monkeypatch, layer) -> None:
     """With gsplat's own torch functions in place of its kernels, units, frames and channel order are the reference's."""

@@ -78,6 +78,7 @@ def test_a_narrower_filter_is_the_usual_one_on_an_enlarged_image(scene) -> None:
         assert relative_error(getattr(small, name).detach(), getattr(narrow, name).detach()) < 1e-3, name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("image", IMAGES)
 @pytest.mark.parametrize("channels", [5, 8])
 def test_an_image_left_out_of_the_loss_changes_nothing(scene_named, image, channels) -> None:

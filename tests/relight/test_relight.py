@@ -158,6 +158,7 @@ def test_every_kind_of_indirect_light_can_be_asked_for(relit):
     assert 0.6 < images["gridmap"].sum() / images["none"].sum() < 1.4  # 0.91
 
 
+@pytest.mark.slow
 def test_indirect_light_is_as_in_training_unless_it_is_named(relit):
     assert relit(occlusion=True).facts["indirect"]["reason"].startswith("traced")
     assert relit().facts["indirect"]["reason"] == "training saw no self-occlusion"

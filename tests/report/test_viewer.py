@@ -25,15 +25,19 @@ from pipeline.formats.ply import write_ply
 from pipeline.geometry.cameras import Camera, camera_from_opengl
 from pipeline.optics.sphere import latlong_solid_angles
 from pipeline.report.render import render
+from pipeline.rig.kept_samples import KeptSamples
 from pipeline.rig.lobe_names import LOBES
+from pipeline.rig.map_rendering import render_pixels
 from pipeline.splats.cloud import SplatCloud
 from pipeline.splats.splat_ply import write_splat_ply
 from stages.metrics import report
 from stages.metrics.report.viewer import packing, page, photographs, rig_scene
+from stages.metrics.report.viewer.fit_data import ANGLES, Shown, fit_entry
 from stages.metrics.report.viewer.light_data import light_entry, shrunk
 from stages.metrics.report.viewer.model_scene import scene_of
 from stages.metrics.report.viewer.splat_data import splat_entry
 from stages.metrics.report.viewer.surface_data import ATTRIBUTES, IOR_RANGE, surface_entry, thinned
+from synth.olat_pixels import rig_of
 from synth.orbit import look_at
 
 REPORT = Path(report.__file__).parent
@@ -183,7 +187,8 @@ def test_sixty_thousand_triangles_and_forty_views_fit_the_page(tmp_path):
 
 def test_no_text_of_a_scene_ends_the_script_and_nothing_is_fetched():
     assert "</" not in page.embedded({"name": "</script><script>alert(1)"})
-    assert not re.search(r"https?://|import\(|fetch\(|XMLHttpRequest|console\.", page.script() + page.style())
+    fetched = r"https?://(?!www\.w3\.org/2000/svg')|import\(|fetch\(|XMLHttpRequest|console\."  # SVG's name is no address
+    assert not re.search(fetched, page.script() + page.style())
 
 
 def test_every_script_and_shader_of_the_folder_is_used():
@@ -240,6 +245,51 @@ def test_a_light_stages_maps_in_the_page_are_the_files(tmp_path):
     assert np.abs(lobe - [0.4, 0.2, 0.05]).max() < 1e-4
     fewer = rig_scene.camera_entry(tmp_path / "cam00", camera, count // 3)
     assert fewer["step"] == 2 and packing.unpacked(fewer["inside"]).sum() < 0.3 * count
+
+
+def kept_samples(camera: Camera, lights: np.ndarray) -> KeptSamples:
+    """What a few pixels of `light_stage`'s sphere would measure under lights [L, 3] of irradiance pi, by its own lobe."""
+    n, inside = met(camera)
+    pixels = np.flatnonzero(inside)[::40]
+    normal, view = n.reshape(-1, 3)[pixels], -camera.rays_through(pixels)
+    tangent = np.cross(normal, [0.1, 1.0, 0.2])
+    tangent /= np.linalg.norm(tangent, axis=-1, keepdims=True)
+    sigma, specular, albedo = (np.tile(v, (len(pixels), 1)) for v in ([0.4, 0.2], [0.05], [0.3, 0.4, 0.5]))
+    cross, parallel = (np.zeros((len(pixels), len(lights), 3), np.float16) for _ in range(2))
+    for k, light in enumerate(lights):
+        found = render_pixels(
+            LOBES["beckmann"], view, normal, normal, tangent, sigma, specular[:, 0], light[None], np.full((1, 3), np.pi), 0.0
+        )
+        diffuse = found[:, 0] * albedo / np.pi
+        cross[:, k], parallel[:, k] = diffuse / 2, (diffuse + found[:, 1]) / 2
+    numbers = {
+        "diffuse_albedo": albedo, "specular_albedo": specular, "diffuse_normal": normal, "specular_normal": normal,
+        "tangent": tangent, "sigma": sigma, "residual": np.zeros((len(pixels), 2)),
+    }  # fmt: skip
+    return KeptSamples(pixels, np.arange(len(lights)), cross, parallel, numbers)
+
+
+def test_samples_in_the_page_lie_on_the_curves_of_the_fit(tmp_path):
+    camera = camera_at([0.5, 0.4, 4.0])
+    lights = rig_of(400).directions
+    shown = Shown(np.full((400, 3), np.pi), lights, 2.0, LOBES["beckmann"])
+    entry = fit_entry(kept_samples(camera, lights), camera, shown, "both", (0, 0), 1, 50)
+    count = entry["at"]["shape"][0]
+    normal, view = (packing.unfolded(packing.unpacked(entry[name])) for name in ("specular_normal", "view"))
+    body, mirrored, curves = (packing.unpacked(entry[n]).view("<f2").astype(float) for n in ("body", "mirrored", "curves"))
+    assert body.shape == mirrored.shape == (count, 400) and curves.shape == (count, 2, len(ANGLES))
+    cosine = np.maximum(normal @ lights.T, 0)
+    assert np.abs(body - 0.4 * cosine).max() < 2e-3
+    k = int(np.argmax((normal * view).sum(-1)))  # seen squarely: the curves of both sides are alike
+    half = lights + view[k]
+    half /= np.linalg.norm(half, axis=-1, keepdims=True)
+    angle = np.degrees(np.arccos(np.clip(half @ normal[k], -1, 1)))
+    along, across = (np.interp(angle, ANGLES, curves[k, side]) for side in (0, 1))
+    near = (angle < 30) & (cosine[k] > 0)
+    low, high = np.minimum(along, across), np.maximum(along, across)
+    slack = 0.03 * curves[k].max()
+    assert near.sum() > 20 and (mirrored[k] > low - slack)[near].all() and (mirrored[k] < high + slack)[near].all()
+    assert mirrored[k][near].max() > 0.7 * curves[k].max()
 
 
 def shown_in_browser(folder: Path, scene: dict, draw: str) -> np.ndarray:
@@ -402,3 +452,28 @@ def test_the_viewer_lights_a_light_stages_maps_as_the_pipeline_does(tmp_path):
     top, left = rows[0] - (height - np.ptp(rows) - 1) // 2, columns[0] - (width - np.ptp(columns) - 1) // 2
     cut = (slice(top, top + height), slice(left, left + width))
     assert psnr(shown, image[cut], inside[cut]) > 45
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium to draw with")
+def test_a_click_shows_what_the_nearest_kept_pixel_measured(tmp_path):
+    camera, lights = camera_at([0.5, 0.4, 4.0]), rig_of(60).directions
+    light_stage(tmp_path / "cam00", camera)
+    entry = {"name": "cam00", **rig_scene.camera_entry(tmp_path / "cam00", camera, 10**6)}
+    shown = Shown(np.full((60, 3), np.pi), lights, 2.0, LOBES["beckmann"])
+    corner = (entry["corner"][0], entry["corner"][1])
+    entry["fits"] = fit_entry(kept_samples(camera, lights), camera, shown, "both", corner, entry["step"], 50)
+    scene = rig_scene.scene_of([entry], LOBES["beckmann"], lights)
+    draw = (
+        "v.canvas.setPointerCapture = () => {};"  # which wants a real pointer
+        "for (const what of ['pointerdown', 'pointerup'])"
+        "  v.canvas.dispatchEvent(new PointerEvent(what, {...v.centre(), pointerId: 1, isPrimary: true}));"
+        " const [lobe, body] = v.part('fit-charts').querySelectorAll('svg');"
+        " const of = (svg, what) => svg.querySelectorAll(what).length, text = v.part('fit-text').textContent;"
+        " const told = [of(lobe, 'circle') > 3, of(lobe, 'polyline') === 2, of(body, 'circle') > 20,"
+        "  of(body, 'polyline') === 1, text.startsWith('cam00, column 3'), !v.part('fit').hidden];"
+        " v.canvas.width = 6; v.canvas.height = 1; const g = v.rig.gl; g.viewport(0, 0, 6, 1); g.enable(g.SCISSOR_TEST);"
+        " told.forEach((yes, k) => {"
+        "  g.scissor(k, 0, 1, 1); g.clearColor(0, yes ? 1 : 0, 0, 1); g.clear(g.COLOR_BUFFER_BIT); });"
+    )
+    assert (shown_in_browser(tmp_path, scene, draw)[0, :, 1] == 255).tolist() == [True] * 6

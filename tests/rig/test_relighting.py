@@ -76,6 +76,7 @@ def test_under_a_constant_sky_a_lambert_ball_shows_its_albedo(stage):
     assert np.all(summed[~inside] == 0)
 
 
+@pytest.mark.slow
 def test_the_sum_is_linear_in_the_map_and_in_the_lights_irradiance(stage):
     index, root, _, _, inside = stage
     one = relight_frames(index, root, "cam00", [sky("gradient")], inside)[0]

@@ -60,15 +60,20 @@ def ball_interval(camera: Camera, middle: np.ndarray, radius: float) -> tuple[np
     return np.where(root > 0, -b - half, np.inf), np.where(root > 0, -b + half, -np.inf)
 
 
-def ellipsoid_view(camera: Camera, light) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(Stokes [H, W, 3, 3], mask [H, W], normals [H, W, 3]) by analytic intersection."""
+def ellipsoid_hit(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+    """Which of a camera's rays meet the ellipsoid [H * W], and its unit normals there [H * W, 3]."""
     rays, centre = camera.rays().reshape(-1, 3), camera.centre
     a, b, c = ((rays / AXES) ** 2).sum(-1), (rays * centre / AXES**2).sum(-1), ((centre / AXES) ** 2).sum() - 1
     root = b * b - a * c
-    hit = root > 0
     points = centre + rays * ((-b - np.sqrt(np.maximum(root, 0))) / a)[:, None]
     normal = points / AXES**2
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    return root > 0, normal
+
+
+def ellipsoid_view(camera: Camera, light) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(Stokes [H, W, 3, 3], mask [H, W], normals [H, W, 3]) by analytic intersection."""
+    hit, normal = ellipsoid_hit(camera)
     shape = (camera.height, camera.width)
     return plastic_image(camera, hit, normal, light), hit.reshape(shape), (normal * hit[:, None]).reshape(*shape, 3)
 

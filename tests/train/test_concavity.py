@@ -122,6 +122,7 @@ def test_a_depth_is_certain_where_it_is_deep_and_explains_more_and_its_neighbour
     assert not sure(0.003).any()  # two views agree on anything
 
 
+@pytest.mark.slow
 def test_a_hollowed_ball_lacks_what_the_field_took_and_nothing_else():
     mesh = ball()
     samples = sphere_directions(4000).astype(float)
@@ -139,6 +140,7 @@ def test_nothing_is_left_of_a_ball_taken_back_by_its_radius():
     assert hollowed(ball(1000), DepthField(samples, np.full(500, 1.2)), 0.19) is None
 
 
+@pytest.mark.slow
 def test_splats_on_untouched_ground_survive_a_refit_bit_for_bit():
     from stages.train.initialise.sampling import sample_evenly
 

@@ -31,6 +31,7 @@ def test_hull_is_the_object_within_two_percent(make_sources):
     assert (outward > 0).mean() > 0.99
 
 
+@pytest.mark.slow
 def test_cropped_views_do_not_carve_the_object(make_sources):
     sources = make_sources(64, 24)
     cut = []
@@ -44,6 +45,7 @@ def test_cropped_views_do_not_carve_the_object(make_sources):
     assert np.percentile(np.abs(implicit(mesh.vertices) - 1), 90) < 0.06
 
 
+@pytest.mark.slow
 def test_outvoting_forgives_one_bad_mask(make_sources):
     views = silhouettes(make_sources(48, 24))
     bad = views[5].mask.copy()
@@ -62,6 +64,7 @@ def test_masks_without_a_common_object_are_refused(make_sources):
         visual_hull(views, 32)
 
 
+@pytest.mark.slow
 def test_samples_are_even_and_as_many_as_asked(make_sources):
     mesh, _, _ = visual_hull(silhouettes(make_sources(48, 24)), 48)
     samples = sample_evenly(mesh, 800, np.random.default_rng(0))

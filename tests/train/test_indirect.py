@@ -125,6 +125,7 @@ def test_harmonics_are_orthonormal():
     torch.testing.assert_close(torch.einsum("ni,nj,n->ij", y, y, torch.as_tensor(w)), torch.eye(16, dtype=y.dtype))
 
 
+@pytest.mark.slow
 def test_harmonics_learn_where_the_object_mirrors_itself_and_follow_their_splats(vases):
     trainer = at_step(trainer_of(vases, indirect="sh", max_splats=900), 200)
     for _ in trainer.pyramids[0]:  # every view once

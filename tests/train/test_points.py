@@ -102,6 +102,7 @@ def test_a_part_that_points_would_cut_but_silhouettes_need_stays():
         assert bare.sum() < 0.01 * silhouette.mask.sum()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scale", [1e-3, 1e4])
 def test_units_do_not_matter(scale):
     shift = scale * np.array([30.0, -20.0, 10.0])

@@ -48,6 +48,7 @@ def test_normals_must_agree_with_positions_more_at_the_end_but_for_the_printed_l
         assert Trainer.weights(trainer, phase_at(done, 0.3, 0.15)).weight_depth_normal == pytest.approx(factor * weight)
 
 
+@pytest.mark.slow
 def test_the_papers_losses_train(paper_trainer):
     before = paper_trainer.validate()
     found = [paper_trainer.step() for _ in range(60)][-1]

@@ -14,6 +14,7 @@ from pipeline.capture.config import CaptureConfig
 from pipeline.capture.model import Capture
 
 MODULES = (
+    "open_illumination",
     "ict_light_stage",
     "phygap_mitsuba",
     "pandora",

@@ -45,15 +45,22 @@ def recognise(root: Path) -> bool:
     return bool(cameras) and (table_beside(root) is not None or (files and not views))
 
 
-def read(root: Path, config: CaptureConfig) -> Capture:
-    """Open a light-stage capture. Raises UserError naming the file at fault. Pixels are not read."""
+def read(root: Path, config: CaptureConfig, beside: GivenCameras | None = None) -> Capture:
+    """Open a light-stage capture. Raises UserError naming the file at fault. Pixels are not read.
+
+    Args:
+        root: its folder.
+        config: its capture.toml.
+        beside: the cameras of views in the same world, taken where the folder has none of its own.
+    """
     from pipeline.rig.lsx3_and_csv_light_tables import LSX3_POSITIONS
 
     lights, tables = read_light_table(root, config)
     passes: dict[str, PassFrames] = {}
     folders = sorted(stage_folders(root).items())
     _refuse_mixed_passes(dict(folders))
-    given = None if all(camera_file(root, name).is_file() for name, _ in folders) else given_cameras(root)
+    files_there = all(camera_file(root, name).is_file() for name, _ in folders)
+    given = None if files_there else given_cameras(root) or beside
     pose = partial(_pose, root, config=config, given=given, alone=len(folders) == 1)
     cameras = {name: _camera(root, found, lights, tables[-1], config, passes, pose) for name, found in folders}
     files = [*tables, *(p for p in (camera_file(root, name) for name in cameras) if p.is_file())]
@@ -65,7 +72,8 @@ def read(root: Path, config: CaptureConfig) -> Capture:
     environments = find_environments(root)
     facts = [*left_out_fact(passes), *one_pass_facts(cameras)]
     if given is not None:
-        facts.append(f"cameras: {given.path.relative_to(root).as_posix()}")
+        where = "those of the views" if given is beside else given.path.relative_to(root).as_posix()
+        facts.append(f"cameras: {where}")
     extra = {len(camera.full_light) for camera in cameras.values()} - {0}
     if extra:
         facts.append(f"{max(extra)} frames a pass beside the lights' own (all lights on, or dark) are left out")

@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from pipeline.capture.naming.files import subfolders
+from pipeline.capture.naming.files import ASIDE, OLAT, subfolders
 from pipeline.errors import UserError
 
 CAMERA = re.compile(r"^(?:cam|camera|c)[\s_.\-]*0*(?P<number>\d+)$", re.IGNORECASE)
@@ -19,6 +19,8 @@ WORDS = {
 }
 """Names of the two passes, lower case, letters alone."""
 DEEPEST = 3
+NOT_OF_A_STAGE = ASIDE - {OLAT}
+"""Folders in which no part of a light stage lies."""
 
 
 @dataclass
@@ -68,7 +70,7 @@ def stage_folders(root: Path) -> dict[str, CameraFolders]:
 def _folders(root: Path, depth: int) -> list[Path]:
     if depth == 0:
         return []
-    here = subfolders(root)
+    here = subfolders(root, NOT_OF_A_STAGE)
     return [*here, *(q for p in here for q in _folders(p, depth - 1))]
 
 

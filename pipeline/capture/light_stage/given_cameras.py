@@ -7,7 +7,7 @@ picture's path (cam03/all.png, images/camera_3.png, cam03_0001.jpg).
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 
@@ -62,6 +62,20 @@ def given_cameras(root: Path) -> GivenCameras | None:
     if table is None or not table.names:
         return None
     return GivenCameras(table.path, table.files or (table.path,), table.names, table.checked)
+
+
+def cameras_of_views(views: Mapping[str, Camera], path: Path) -> GivenCameras:
+    """The cameras of a capture's views for a light stage in the same world.
+
+    Args:
+        views: by VIEW, which tells the camera as the name of a picture does.
+        path: what they were read from, for errors.
+
+    Returns:
+        The same as of a file beside the light stage.
+    """
+    cameras = tuple(views.values())
+    return GivenCameras(path, (), tuple(views), lambda index, size: cameras[index])
 
 
 def numbers_in(picture: str) -> set[int]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from pipeline.capture.config import CaptureConfig
+from pipeline.capture.light_stage.folders import NOT_OF_A_STAGE
 from pipeline.capture.naming.files import subfolders
 from pipeline.errors import UserError
 from pipeline.rig.light_table import LightTable
@@ -16,7 +17,7 @@ SIGNS = (CSV, DIRECTIONS, "light_positions.txt", "LSX3_light_positions.txt", "LS
 
 def table_beside(root: Path) -> Path | None:
     """A light table among the files of a capture, or of a folder below it, by its name; None without one."""
-    for folder in (root, *subfolders(root)):
+    for folder in (root, *subfolders(root, NOT_OF_A_STAGE)):
         lower = {p.name.lower(): p for p in sorted(folder.iterdir()) if p.is_file() and not p.name.startswith(".")}
         found = next((lower[name.lower()] for name in SIGNS if name.lower() in lower), None)
         found = found or next((p for name, p in lower.items() if name.endswith(".lp") and _is_lp(p)), None)
@@ -51,7 +52,7 @@ def light_table_file(root: Path, config: CaptureConfig) -> Path | None:
 
 def read_light_table(root: Path, config: CaptureConfig) -> tuple[LightTable, list[Path]]:
     """The lights, and the files that they were read from, the last of them named in errors. Raises UserError."""
-    from pipeline.rig.lp_light_tables import INTENSITIES, NAMES, read_directions, read_lp
+    from pipeline.rig.lp_light_tables import INTENSITIES, NAMES, read_directions, read_lp, read_position_array
 
     path = light_table_file(root, config)
     if path is None:
@@ -63,4 +64,6 @@ def read_light_table(root: Path, config: CaptureConfig) -> tuple[LightTable, lis
     if path.name.lower() == DIRECTIONS and path.is_file():
         beside = [p for p in (path.with_name(INTENSITIES), path.with_name(NAMES)) if p.is_file()]
         return read_directions(path), [*beside, path]
+    if path.suffix.lower() == ".npy" and path.is_file():
+        return read_position_array(path), [path]
     return read_lights_csv(path), [path]

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from pipeline.capture.naming.files import IMAGE_FOLDERS, list_images
+from pipeline.capture.naming.files import IMAGE_FOLDERS, OLAT, list_images
 from pipeline.capture.recognition.stray_files import folder_of_products
 
 PLATES = ("clean_plate", "clean_plates", "background", "backgrounds")
-OTHER = frozenset({"masks", "mask", "gt", "envmaps", "sparse", "colmap", *PLATES})
+OTHER = frozenset({"masks", "mask", "gt", "envmaps", "sparse", "colmap", OLAT, *PLATES})
 
 
 def outside_images(path: Path) -> bool:

@@ -37,10 +37,12 @@ UNREADABLE = {
 DUMPS = frozenset({".bin", ".dat", ".mat", ".bayer", ".yuv", ".fit", ".fits"})
 """Samples without a header that says what they are, or arrays: pictures where they lie in an image folder."""
 MASK_FOLDERS = ("masks", "mask")
-ASIDE = frozenset({*MASK_FOLDERS, "gt", "envmaps"})
+OLAT = "olat"
+"""Folder, lower case, of a light stage beside the views of the same object."""
+ASIDE = frozenset({*MASK_FOLDERS, "gt", "envmaps", OLAT})
+"""Folders, lower case, of what lies beside a capture's images."""
 BETWEEN = 0.1
 """Share of a mask's samples that are neither black nor white, at most: soft edges."""
-"""Folders, lower case, of what lies beside a capture's images."""
 IMAGE_FOLDERS = ("images", "images_full", "image", "raw", "photos")
 UNDISTORTED = frozenset({"dense", "undistorted"})
 """Folders in which COLMAP writes undistorted images, with the model that belongs to them."""
@@ -100,9 +102,9 @@ def image_folder(root: Path) -> Path:
     return inner if inner is not None and not loose else root
 
 
-def subfolders(root: Path) -> list[Path]:
+def subfolders(root: Path, aside: frozenset[str] = ASIDE) -> list[Path]:
     """Folders in `root`, sorted, that may hold a part of a capture: none that is hidden, of masks, truth or lights."""
-    return [p for p in sorted(root.iterdir()) if p.is_dir() and not p.name.startswith(".") and p.name.lower() not in ASIDE]
+    return [p for p in sorted(root.iterdir()) if p.is_dir() and not p.name.startswith(".") and p.name.lower() not in aside]
 
 
 def refuse_duplicates(named: Iterable[tuple[str, Path]]) -> None:

@@ -69,16 +69,20 @@ class Rig:
         decode: the decode stage's.
         olat: with a folder of maps for each camera.
         masks: the masks stage's, if it ran.
+        fewest: cameras that it takes: a surface needs FEWEST_CAMERAS.
     """
 
-    def __init__(self, root: Path, decode: Path, olat: Path, masks: Path | None) -> None:
-        """Raises UserError where fewer than `FEWEST_CAMERAS` have any."""
+    def __init__(
+        self, root: Path, decode: Path, olat: Path, masks: Path | None, fewest: int = FEWEST_CAMERAS
+    ) -> None:  # fmt: skip
+        """Raises UserError where fewer than `fewest` have any."""
         self._index_path = decode / "olat.json"
         self._index = json.loads(self._index_path.read_text())
         self.folder, self._masks, self._root = olat, masks, root
         self.names = [name for name in sorted(self._index["cameras"]) if (self.folder / name).is_dir()]
-        if len(self.names) < FEWEST_CAMERAS:
-            fault = f"only {len(self.names)} cameras see the object, a surface needs three"
+        if len(self.names) < fewest:
+            needed = "a surface needs three" if fewest > 1 else "one is needed"
+            fault = f"only {len(self.names)} cameras see the object, {needed}"
             raise UserError(root, fault, "mend the masks of the others")
         facts = self.folder / files.FITTED_LOBE
         self.lobe = str(json.loads(facts.read_text())["lobe"])

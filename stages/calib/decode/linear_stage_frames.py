@@ -5,7 +5,8 @@ Half-float frames without any radiometry to apply are never touched: the olat st
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+import os
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
@@ -50,12 +51,20 @@ class LinearFrames:
 
 def frames_of(light_stage: LightStage) -> dict[Path, str]:
     """Every light's frame and its name below the capture (camNN/PASS/FRAME)."""
-    return {
-        path: f"{name}/{folder}/{path.stem}"
-        for name, camera in light_stage.cameras.items()
-        for folder, paths in (("cross", camera.cross), ("parallel", camera.parallel))
-        for path in paths
-    }
+    found: dict[Path, str] = {}
+    for name, camera in light_stage.cameras.items():
+        for folder, paths in (("cross", camera.cross), ("parallel", camera.parallel)):
+            found |= {path: f"{name}/{folder}/{own}" for path, own in zip(paths, _own_names(paths))}
+    return found
+
+
+def _own_names(paths: Sequence[Path]) -> list[str]:
+    """What tells frames apart: their names, or with those of their folders where each light has one."""
+    stems = [path.stem for path in paths]
+    if len(set(stems)) == len(stems):
+        return stems
+    above = os.path.commonpath([path.parent for path in paths])
+    return ["_".join(path.relative_to(above).with_suffix("").parts) for path in paths]
 
 
 def radiometry_of(stage: StageRun, light_stage: LightStage) -> RadiometryConfig | None:

@@ -9,6 +9,7 @@ from pipeline.capture import Capture
 from pipeline.engine.stage import Decision, Stage, StageRun
 from stages import memory_estimate, time_estimate
 from stages.calib.decode.parameters import DecodeParameters
+from stages.olat_beside_views import light_stage_run
 
 
 def needed(capture: Capture, parameters: DecodeParameters) -> Decision:
@@ -29,19 +30,20 @@ def capture_files(capture: Capture) -> Iterable[Path]:
         return [p for p in capture.files if p not in capture.environments]
     paths = [p for view in capture.views for p in view.paths]
     radiometry = capture.config.radiometry
-    return paths + [capture.root / p for p in (radiometry.dark_frame, radiometry.flat_field) if p]
+    beside = capture_files(capture.olat) if capture.olat is not None else ()
+    return [*paths, *(capture.root / p for p in (radiometry.dark_frame, radiometry.flat_field) if p), *beside]
 
 
 def run(stage: StageRun) -> None:
-    """Fill frames/ and frames.json, or olat.json."""
-    if stage.capture.kind == "light_stage":
-        from stages.calib.decode.olat_index import index_light_stage
-
-        index_light_stage(stage)
-    else:
+    """Fill frames/ and frames.json, or olat.json; both of a capture of both kinds."""
+    if stage.capture.kind == "multiview":
         from stages.calib.decode.write_frames import decode_views
 
         decode_views(stage)
+    if stage.capture.one_light_at_a_time.light_stage is not None:
+        from stages.calib.decode.olat_index import index_light_stage
+
+        index_light_stage(light_stage_run(stage))
 
 
 STAGE = Stage(

@@ -60,7 +60,8 @@ def write_report(run: StageRun, metrics: dict[str, Any], manifests: Mapping[str,
         context["lobe"] = json.loads((run.inputs["olat"] / FITTED_LOBE).read_text())
         context["olat"] = rig_pictures.olat_cards(run, metrics)
         context["disagreement"] = rig_pictures.disagreement_cards(run)
-        context["relit"] = rig_pictures.relit_cards(run) if "relight" in run.inputs else []
+        if run.capture.kind == "light_stage" and "relight" in run.inputs:
+            context["relit"] = rig_pictures.relit_cards(run)
     (run.output / "report.html").write_text(render("report.html.jinja", context, FOLDER), encoding="utf-8")
 
 

@@ -38,7 +38,7 @@ FACTORS = (
     ("relight.cube", ((0.5, 0.6), (2.0, 2.5))),
 )
 CHOICES = (
-    ("train.mirror", (("split", 0.7), ("lobe-4", 0.8), ("lobe-24", 1.4))),
+    ("train.mirror", (("split", 0.65), ("lobe-4", 0.75), ("lobe-12", 0.95), ("lobe-48", 1.3))),
     ("train.indirect", (("none", 0.8),)),
     ("relight.mirror", (("split", 0.3), ("tree-coarse", 0.8), ("tree-fine", 1.5))),
     ("relight.indirect", (("none", 0.7),)),

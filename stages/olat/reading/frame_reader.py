@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pipeline.errors import UserError
 from pipeline.formats.exr_frame import exr_frame
 from pipeline.formats.images import open_image, read_stored, reason_of
-from stages.olat.reading.scanline_bands import Band, Picked, picked
+from stages.olat.reading.scanline_bands import Band, Picked, Turn, picked
 from stages.olat.reading.zip_frames import ZipFrames
 
 READERS = 2
@@ -44,24 +44,25 @@ def read_bands(
     size: tuple[int, int],
     half: bool,
     readers: int = READERS,
-    shift: tuple[int, int] = (0, 0),
+    shift: tuple[float, float] = (0, 0),
+    turn: Turn | None = None,
 ) -> Iterator[Samples]:
     """The samples of each band of frames of this size (width, height); the next is read while the caller works on this one.
 
-    shift: whole pixels (right, down) by which the parallel pass lies off the crossed one, undone on reading (pixels beyond the
-    edge repeat it). Raises UserError.
+    shift, turn: pixels (right, down) by which the parallel pass lies off the crossed one and how it is turned, undone on
+    reading to whole pixels (those beyond the edge repeat it). Raises UserError.
     """
     with ThreadPoolExecutor(readers) as pool:
-        yield from ahead(read_band(pool, readers, cross, parallel, band, size, half, shift) for band in bands)
+        yield from ahead(read_band(pool, readers, cross, parallel, band, size, half, shift, turn) for band in bands)
 
 
 def read_band(
     pool: ThreadPoolExecutor, readers: int, cross: list[Path], parallel: list[Path], band: Band, size: tuple[int, int],
-    half: bool, shift: tuple[int, int],
+    half: bool, shift: tuple[float, float], turn: Turn | None = None,
 ) -> Samples:  # fmt: skip
     """The samples of one band, read by the `readers` threads of `pool`. See `read_bands`."""
     buffer = np.empty((2, len(cross), len(band.pixels), 3), np.uint16 if half else np.float32)
-    passes = ((cross, picked(band, *size)), (parallel, picked(band, *size, shift)))
+    passes = ((cross, picked(band, *size)), (parallel, picked(band, *size, shift, turn)))
     frames = [(path, pixels, out) for (paths, pixels), side in zip(passes, buffer) for path, out in zip(paths, side)]
     parts = 4 * readers
     tasks = [pool.submit(_read_part, frames[k::parts], half) for k in range(parts)]
@@ -97,10 +98,13 @@ def ahead(items: Iterator[T]) -> Generator[T, None, None]:
 def _read_part(frames: list[tuple[Path, Picked, NDArray]], half: bool) -> None:
     reader = ZipFrames()
     for path, pixels, out in frames:
-        if not reader.read(path, pixels, half, out):
+        found = out if pixels.order is None else np.empty_like(out)
+        if not reader.read(path, pixels, half, found):
             rows = read_rows(path, pixels.top, pixels.bottom, pixels.width, pixels.height, half)
             row = np.repeat(np.arange(pixels.bottom - pixels.top), np.diff(pixels.starts))
-            np.take(rows.reshape(-1, 3), row * pixels.width + pixels.columns, axis=0, out=out, mode="clip")
+            np.take(rows.reshape(-1, 3), row * pixels.width + pixels.columns, axis=0, out=found, mode="clip")
+        if pixels.order is not None:
+            out[pixels.order] = found
 
 
 def read_rows(path: Path, top: int, bottom: int, width: int, height: int, half: bool) -> NDArray:

@@ -45,8 +45,8 @@ class Misregistration:
         crop = (slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1))
         if min(crop[0].stop - crop[0].start, crop[1].stop - crop[1].start) < 16:
             return 0.0, 0.0
-        crossed, parallel = (_edges(image[crop], inside[crop]) for image in self.means)
-        down, right = best_shift(crossed, parallel, _inner(inside[crop]))
+        crossed, parallel = (edges_of(image[crop], inside[crop]) for image in self.means)
+        down, right = best_shift(crossed, parallel, inner_part(inside[crop]))
         return right * self.step, down * self.step
 
 
@@ -105,13 +105,13 @@ def best_shift(a: NDArray[np.float64], b: NDArray[np.float64], mask: NDArray[np.
     return found[0], found[1]
 
 
-def _edges(image: NDArray[np.float64], inside: NDArray[np.bool_]) -> NDArray[np.float64]:
+def edges_of(image: NDArray[np.float64], inside: NDArray[np.bool_]) -> NDArray[np.float64]:
     """Strength of relative change: what the diffuse and the shiny image of one object share."""
     level = float(image[inside].max()) if inside.any() else 1.0
     return np.hypot(*np.gradient(np.log(np.maximum(image, 1e-3 * (level or 1.0)))))
 
 
-def _inner(inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def inner_part(inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """The mask without its two outermost pixels, where the background is in the edges."""
     padded = np.pad(inside, 2)
     for axis in (0, 1):
@@ -120,14 +120,12 @@ def _inner(inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return padded[2:-2, 2:-2]
 
 
-def measure(
-    cross: list[Path], parallel: list[Path], mask: NDArray[np.bool_], half: bool, band_mb: float
-) -> tuple[float, float]:
-    """(right, down) shift of the parallel pass from a few lights of each. Raises UserError."""
+def measure(cross: list[Path], parallel: list[Path], mask: NDArray[np.bool_], half: bool, band_mb: float) -> Misregistration:
+    """The passes' mean images from a few lights of each. Raises UserError."""
     step = max(1, len(cross) // ALIGN_LIGHTS)
     few = cross[::step], parallel[::step]
     found = Misregistration(mask.shape[1], mask.shape[0], 1)
     bands = bands_of(mask, len(few[0]), band_mb, 2 if half else 4)
     for samples in read_bands(*few, bands, (mask.shape[1], mask.shape[0]), half):
         found.add(samples)
-    return found.shift()
+    return found

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,9 +21,20 @@ class Band:
     pixels: NDArray[np.intp]
 
 
+class Turn(NamedTuple):
+    """A turn in the picture: radians from right to down, about a place."""
+
+    radians: float
+    column: float
+    row: float
+
+
 @dataclass(frozen=True)
 class Picked:
-    """Pixels of a frame of this size: rows [top, bottom), row y's in `columns` int32 [P] from starts[y - top] on, int64."""
+    """Pixels of a frame of this size: rows [top, bottom), row y's in `columns` int32 [P] from starts[y - top] on, int64.
+
+    order: which of the band's pixels each is, where these are not in the band's own order. [P]
+    """
 
     width: int
     height: int
@@ -30,15 +42,28 @@ class Picked:
     bottom: int
     starts: NDArray[np.int64]
     columns: NDArray[np.int32]
+    order: NDArray[np.intp] | None = None
 
 
-def picked(band: Band, width: int, height: int, shift: tuple[int, int] = (0, 0)) -> Picked:
-    """A band's pixels `shift` (right, down) further on in a frame of this size; those beyond its edge are the edge's."""
+def picked(
+    band: Band, width: int, height: int, shift: tuple[float, float] = (0, 0), turn: Turn | None = None
+) -> Picked:  # fmt: skip
+    """A band's pixels where `turn` and `shift` (right, down) bring them in a frame of this size, to the nearest whole ones;
+    those beyond its edge are the edge's."""
     rows, columns = np.divmod(band.pixels, width)
-    rows = np.clip(rows + shift[1], 0, height - 1)
-    columns = np.clip(columns + shift[0], 0, width - 1).astype(np.int32)
+    down, right = np.full(len(rows), shift[1], float), np.full(len(rows), shift[0], float)
+    order = None
+    if turn is not None:
+        c, s = np.cos(turn.radians) - 1, np.sin(turn.radians)
+        down += s * (columns - turn.column) + c * (rows - turn.row)
+        right += c * (columns - turn.column) - s * (rows - turn.row)
+    rows = np.clip(rows + np.rint(down).astype(np.intp), 0, height - 1)
+    columns = np.clip(columns + np.rint(right).astype(np.intp), 0, width - 1).astype(np.int32)
+    if turn is not None:
+        order = np.lexsort((columns, rows))
+        rows, columns = rows[order], columns[order]
     top, bottom = (int(rows[0]), int(rows[-1]) + 1) if len(rows) else (0, 0)
-    return Picked(width, height, top, bottom, np.searchsorted(rows, np.arange(top, bottom + 1)), columns)
+    return Picked(width, height, top, bottom, np.searchsorted(rows, np.arange(top, bottom + 1)), columns, order)
 
 
 def bands_of(mask: NDArray[np.bool_], lights: int, band_mb: float, itemsize: int) -> list[Band]:

@@ -7,26 +7,41 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
 
 from pipeline.engine.stage import StageRun
 from stages.olat.reading.frame_reader import READERS, Samples, ahead, read_band
-from stages.olat.reading.misregistration import Misregistration, measure
+from stages.olat.reading.misregistration import WARN_PX, Misregistration, measure
+from stages.olat.reading.movement import movement_between
 from stages.olat.reading.rig_cameras import CameraJob, camera_jobs, middle_chunk
-from stages.olat.reading.scanline_bands import Band
+from stages.olat.reading.scanline_bands import Band, Turn
 
 SWITCH_S = 5e-4  # how long a reader waits for the interpreter while modules load (Python's own 5 ms would starve the readers)
+
+
+class Undone(NamedTuple):
+    """How the parallel pass lay off the crossed one: px right and down, and turned."""
+
+    right: float = 0.0
+    down: float = 0.0
+    turn: Turn | None = None
+
+
+NOTHING = Undone()
 
 
 @dataclass
 class Piece:
     """A band of a camera, or pixels of it to choose the lobe on.
 
-    shift: of the parallel pass (px right, down), undone; misregistration: what is left of it, in all bands so far.
+    undone: how the parallel pass lay off the crossed one; misregistration: what is left of it, in all bands so far.
     """
 
     job: CameraJob
     samples: Samples
-    shift: tuple[int, int]
+    undone: Undone
     misregistration: Misregistration
     pilot: bool = False
 
@@ -61,28 +76,35 @@ def _pieces(stage: StageRun, jobs: list[CameraJob], pilot: bool) -> Iterator[Pie
     with ThreadPoolExecutor(READERS) as pool:
         for job in jobs:
             whole = len(job.bands) == 1  # then its shift is measured on what is read anyway
-            shift = _measured(job, stage.parameters.band_mb) if align and not whole else (0, 0)
+            undone = _measured(job, stage.parameters.band_mb) if align and not whole else NOTHING
             misregistration = Misregistration(job.camera.width, job.camera.height)
             if pilot and job is jobs[0] and not whole:
-                yield Piece(job, _band(pool, job, middle_chunk(job), shift), shift, misregistration, pilot=True)
+                yield Piece(job, _band(pool, job, middle_chunk(job), undone), undone, misregistration, pilot=True)
             for band in job.bands:
-                samples = _band(pool, job, band, shift)
+                samples = _band(pool, job, band, undone)
                 misregistration.add(samples)
-                if align and whole and any(shift := _rounded(misregistration.shift())):
-                    samples = _band(pool, job, band, shift)
+                if align and whole and (undone := _found(misregistration)) != NOTHING:
+                    samples = _band(pool, job, band, undone)
                     misregistration.add(samples)
-                yield Piece(job, samples, shift, misregistration)
+                yield Piece(job, samples, undone, misregistration)
 
 
-def _band(pool: ThreadPoolExecutor, job: CameraJob, band: Band, shift: tuple[int, int]) -> Samples:
+def _band(pool: ThreadPoolExecutor, job: CameraJob, band: Band, undone: Undone) -> Samples:
     size = (job.camera.width, job.camera.height)
-    return read_band(pool, READERS, job.cross, job.parallel, band, size, job.half, shift)
+    return read_band(pool, READERS, job.cross, job.parallel, band, size, job.half, (undone.right, undone.down), undone.turn)
 
 
-def _measured(job: CameraJob, band_mb: float) -> tuple[int, int]:
-    return _rounded(measure(job.cross, job.parallel, job.mask, job.half, band_mb))
+def _measured(job: CameraJob, band_mb: float) -> Undone:
+    return _found(measure(job.cross, job.parallel, job.mask, job.half, band_mb))
 
 
-def _rounded(shift: tuple[float, float]) -> tuple[int, int]:
-    """A shift in whole pixels (right, down)."""
-    return round(shift[0]), round(shift[1])
+def _found(passes: Misregistration) -> Undone:
+    """What is to be undone: a turn with its shift where there clearly is one that matters, else a shift in whole pixels."""
+    inside = passes.means[0] > 0
+    movement = movement_between(*passes.means, inside, passes.step)
+    if movement is not None and movement.turned and movement.furthest_px - np.hypot(movement.right, movement.down) > WARN_PX:
+        rows, columns = np.nonzero(inside)
+        about = Turn(-float(np.radians(movement.turn_deg)), passes.step * columns.mean(), passes.step * rows.mean())
+        return Undone(movement.right, movement.down, about)
+    right, down = passes.shift()
+    return Undone(round(right), round(down))

@@ -18,6 +18,7 @@ from pipeline.shading import LightField, Occlusion, shade
 
 from ..initialise.hull import HullMesh
 from .gaussians import SplatModel, Splats
+from .ray_kernels import lobe_directions, turned_directions
 from .surface_graph import SurfaceGraph
 
 DIFFUSE_RAYS = 48  # cosine-weighted rays a splat; their noise is averaged over neighbours as well
@@ -51,9 +52,11 @@ class CarriedHull:
         A first hit from behind means that the ray began just under the surface: it counts as free.
         """
         found = self.rays.cast(origins, directions)
-        hit = found.hit & ((found.normal * directions).sum(-1) < 0)
-        splat = np.full(len(hit), -1, np.int64)
-        splat[hit] = self.splat_of_vertex[self.triangles[found.triangle[hit], found.corner[hit]]]
+        rows = np.flatnonzero(found.hit)  # few, so all that follows is of these alone
+        rows = rows[np.einsum("mk,mk->m", found.normal[rows], directions[rows]) < 0]
+        hit, splat = np.zeros(len(directions), bool), np.full(len(directions), -1, np.int64)
+        hit[rows] = True
+        splat[rows] = self.splat_of_vertex[self.triangles[found.triangle[rows], found.of(rows).corner]]
         return hit, splat
 
 
@@ -126,8 +129,7 @@ def _trace_rows(
     """Shadow [R, 3] at some of the splats, and of their rays that are blocked: the splat they start from (numbered from
     `first`), the one they hit, and their direction [M, 3]."""
     device = light.packed.device
-    directions = local_to_world(cosine_directions(DIFFUSE_RAYS), normals, turn)  # [R, K, 3]
-    flat = directions.reshape(-1, 3)
+    flat = cosine_rays(DIFFUSE_RAYS, normals, turn).reshape(-1, 3)
     hit, splat = occluder.cast(np.repeat(origins, DIFFUSE_RAYS, 0), flat)
     roughness = torch.full((len(flat),), SMOOTH_LEVEL, device=device)
     radiance = light.mirrored(torch.as_tensor(flat, device=device), roughness)
@@ -204,19 +206,15 @@ def trace_pixels(
     device = splats.means.device
     rng = np.random.default_rng(seed)
     count = len(points)
-    u = (np.arange(LOBE_RAYS) + rng.random((count, LOBE_RAYS))) / LOBE_RAYS
+    u = FAR_TAIL * (np.arange(LOBE_RAYS) + rng.random((count, LOBE_RAYS))) / LOBE_RAYS
     angle = 2 * np.pi * ((np.arange(LOBE_RAYS) * GOLDEN + rng.random((count, 1))) % 1.0)
-    tan2 = -((roughness**4)[:, None]) * np.log1p(-u * FAR_TAIL)  # Beckmann half vectors
-    nz = 1 / np.sqrt(1 + tan2)
-    sine = np.sqrt(1 - nz * nz)
-    local = np.stack([sine * np.cos(angle), sine * np.sin(angle), nz], -1).astype(np.float32)
-    half = local_to_world(local, normals, np.zeros(count, np.float32))
-    reflected = 2 * (half * view_direction[:, None]).sum(-1, keepdims=True) * half - view_direction[:, None]
-    below = (reflected * normals[:, None]).sum(-1) <= GRAZING
-    flat = reflected.reshape(-1, 3).astype(np.float32)
+    reflected, rise = np.empty((count, LOBE_RAYS, 3), np.float32), np.empty((count, LOBE_RAYS), np.float32)
+    single = [np.ascontiguousarray(a, np.float32) for a in (normals, view_direction, roughness, u, angle)]
+    lobe_directions(*single, reflected, rise)
+    flat = reflected.reshape(-1, 3)
     origins = np.repeat(points + LIFT * spacing * normals, LOBE_RAYS, 0)
     hit, splat = occluder.cast(origins, flat)
-    hit &= ~below.reshape(-1)
+    hit &= rise.reshape(-1) > GRAZING
     seen = torch.zeros(len(flat), 3, device=device)
     if hit.any():
         seen[torch.as_tensor(np.flatnonzero(hit), device=device)] = outgoing(
@@ -235,14 +233,8 @@ def cosine_directions(count: int) -> np.ndarray:
     return np.stack([sine * np.cos(phi), sine * np.sin(phi), np.sqrt(1 - sine2)], -1).astype(np.float32)
 
 
-def local_to_world(local: np.ndarray, normals: np.ndarray, turn: np.ndarray) -> np.ndarray:
-    """Directions [K, 3] or [P, K, 3] about z, turned about it by `turn` [P] and carried to the normals [P, 3]: [P, K, 3]."""
-    helper = np.eye(3, dtype=np.float32)[np.abs(normals).argmin(-1)]
-    u = np.cross(helper, normals)
-    u /= np.maximum(np.linalg.norm(u, axis=-1, keepdims=True), 1e-12)
-    v = np.cross(normals, u)
-    c, s = np.cos(turn)[:, None], np.sin(turn)[:, None]
-    u, v = (c * u + s * v).astype(np.float32), (c * v - s * u).astype(np.float32)
-    if local.ndim == 2:
-        local = np.broadcast_to(local, (len(normals), *local.shape))
-    return local[..., :1] * u[:, None] + local[..., 1:2] * v[:, None] + local[..., 2:] * normals[:, None].astype(np.float32)
+def cosine_rays(count: int, normals: np.ndarray, turn: np.ndarray) -> np.ndarray:
+    """The cosine-weighted directions about each of the normals [P, 3], turned by `turn` [P] radians: [P, count, 3]."""
+    out = np.empty((len(normals), count, 3), np.float32)
+    turned_directions(cosine_directions(count), normals.astype(np.float32), turn.astype(np.float32), out)
+    return out

@@ -1,5 +1,6 @@
 // Mouse, touch and pen on a canvas: one finger or the left button drags, two fingers or the right button pan, pinch and wheel zoom,
-// two taps frame. Calls drag(dx, dy, event), pan(dx, dy), zoom(factor), frame(), hover(event | null); lengths in shares of the shorter side.
+// two taps frame. Calls drag(dx, dy, event), pan(dx, dy), zoom(factor), frame(), hover(event | null) and, where it is there, tap(event);
+// lengths in shares of the shorter side.
 function listen(canvas, calls) {
   const down = new Map();
   let tapped = 0, moved = 0;
@@ -26,6 +27,7 @@ function listen(canvas, calls) {
   const up = event => {
     if (!down.delete(event.pointerId) || moved > 8 || event.type === 'pointercancel') return;
     calls.hover(event);
+    calls.tap?.(event);
     if (event.timeStamp - tapped < 350) { calls.frame(); tapped = 0; } else tapped = event.timeStamp;
   };
   canvas.addEventListener('pointerup', up);

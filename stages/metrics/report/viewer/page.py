@@ -9,7 +9,7 @@ from typing import Any
 FOLDER = Path(__file__).parent
 SCRIPTS = (
     "bytes", "vectors", "octahedral", "prefilter", "hdr", "programs", "orbit", "gestures", "pace", "probe", "splats", "model",
-    "readout", "model_viewer", "model_input", "rig", "rig_viewer", "enlarge", "main",
+    "readout", "model_viewer", "model_input", "rig", "fit_charts", "rig_viewer", "enlarge", "main",
 )  # fmt: skip
 """In the order in which they need each other."""
 SHADERS = ("*.glsl", "*.vert", "*.frag")

@@ -36,7 +36,31 @@ class RigViewer {
 
   async useCamera(k) {
     const made = await this.rig.camera(this.scene.cameras[k]);
-    if (this.state.camera === k) { this.camera = made; this.request(); }
+    if (made.entry.fits && !made.fits) made.fits = await FitCharts.open(made.entry.fits, this.scene);
+    if (this.state.camera !== k) return;
+    this.camera = made;
+    this.chosen = null;
+    this.part('fit').hidden = true;
+    this.part('fit-note').hidden = !made.fits;
+    this.request();
+  }
+
+  // The place of the picture (in its pixels) under a pointer.
+  placeOf(event) {
+    const box = this.canvas.getBoundingClientRect(), [u, v, across, down] = this.window(), [w, h] = this.camera.entry.size;
+    return [w * (u + across * (2 * (event.clientX - box.left) / box.width - 1)), h * (v + down * (2 * (event.clientY - box.top) / box.height - 1))];
+  }
+
+  // Shows what was fitted to the kept pixel that is nearest.
+  pick(event) {
+    if (!this.camera?.fits) return;
+    const {fits, entry} = this.camera, k = fits.nearest(...this.placeOf(event)), {charts, fitted} = fits.draw(k);
+    const at = [fits.at[2 * k], fits.at[2 * k + 1]], [row, column] = [1, 0].map(c => Math.round(entry.corner[1 - c] + entry.step * at[c]));
+    this.chosen = at;
+    this.part('fit-charts').replaceChildren(...charts);
+    this.part('fit-text').textContent = `${entry.name}, column ${column}, row ${row}: σ ${digits(fitted.slice(0, 2))}, specular albedo ${fitted[2].toFixed(3)}, diffuse albedo ${fitted[3].toFixed(3)}`;
+    this.part('fit').hidden = false;
+    this.request();
   }
 
   frame() { this.middle = [0.5, 0.5]; this.zoom = 1; this.request(); }
@@ -70,6 +94,13 @@ class RigViewer {
     const spot = this.part('spot'), size = Math.min(canvas.clientWidth, canvas.clientHeight) / 2;
     spot.style.left = `${canvas.clientWidth / 2 + state.x * size}px`;
     spot.style.top = `${canvas.clientHeight / 2 - state.y * size}px`;
+    const mark = this.part('picked'), [u, v, across, down] = this.window();
+    mark.hidden = !this.chosen;
+    if (this.chosen) {
+      const [w, h] = this.camera.entry.size, x = (this.chosen[0] + 0.5) / w, y = (this.chosen[1] + 0.5) / h;
+      mark.style.left = `${canvas.clientWidth * ((x - u) / across + 1) / 2}px`;
+      mark.style.top = `${canvas.clientHeight * ((y - v) / down + 1) / 2}px`;
+    }
     if (this.pointer) this.readOut();
   }
 
@@ -88,14 +119,14 @@ class RigViewer {
   listen() {
     const step = 0.05, {canvas} = this, zoom = factor => { this.zoom = Math.max(0.5, Math.min(40, this.zoom / factor)); this.request(); };
     listen(canvas, {
-      drag: (x, y, event) => this.lightAt(event), pan: (x, y) => this.pan(x, y), zoom, frame: () => this.frame(),
+      drag: (x, y, event) => this.lightAt(event), pan: (x, y) => this.pan(x, y), zoom, frame: () => this.frame(), tap: event => this.pick(event),
       hover: event => { this.pointer = event; if (event && this.camera) this.readOut(); else this.part('values').replaceChildren(); }});
     const arrows = {ArrowLeft: [-step, 0], ArrowRight: [step, 0], ArrowUp: [0, step], ArrowDown: [0, -step]}, {state} = this;
     const count = this.scene.cameras.length, keys = {
       '+': () => zoom(0.9), '=': () => zoom(0.9), '-': () => zoom(1 / 0.9), f: () => this.frame(),
       e: () => this.set({exposure: state.exposure + 0.25}), E: () => this.set({exposure: state.exposure - 0.25}),
       '.': () => this.set({camera: (state.camera + 1) % count}), ',': () => this.set({camera: (state.camera + count - 1) % count}),
-      v: () => { const box = canvas.getBoundingClientRect(); this.pointer = {clientX: box.left + box.width / 2, clientY: box.top + box.height / 2}; this.readOut(); }};
+      v: () => { this.pointer = this.centre(); this.readOut(); }, p: () => this.pick(this.centre())};
     canvas.addEventListener('keydown', event => {
       if (event.ctrlKey || event.metaKey || event.altKey) return;
       const number = '123456789'.indexOf(event.key), arrow = arrows[event.key];
@@ -109,11 +140,15 @@ class RigViewer {
     new ResizeObserver(() => this.request()).observe(canvas);
   }
 
+  // The middle of the screen, as a pointer there.
+  centre() {
+    const box = this.canvas.getBoundingClientRect();
+    return {clientX: box.left + box.width / 2, clientY: box.top + box.height / 2};
+  }
+
   readOut() {
-    const box = this.canvas.getBoundingClientRect(), [u, v, across, down] = this.window(), {entry, images} = this.camera;
-    const x = u + across * (2 * (this.pointer.clientX - box.left) / box.width - 1), y = v + down * (2 * (this.pointer.clientY - box.top) / box.height - 1);
-    const i = 4 * (Math.floor(y * entry.size[1]) * entry.size[0] + Math.floor(x * entry.size[0]));
-    const there = x >= 0 && x < 1 && y >= 0 && y < 1 && images.normal_d[i + 3] > 0;
+    const {entry, images} = this.camera, [x, y] = this.placeOf(this.pointer), [w, h] = entry.size;
+    const i = 4 * (Math.floor(y) * w + Math.floor(x)), there = x >= 0 && x < w && y >= 0 && y < h && images.normal_d[i + 3] > 0;
     this.part('values').replaceChildren(...(there ? rigValuesOf(images, i) : []));
   }
 }
