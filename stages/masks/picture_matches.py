@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
+from typing import Any
 
 import cv2
 import numpy as np
@@ -64,7 +65,7 @@ def features(
     scale = min(1.0, LONGEST / max(radiance.shape))
     size = (max(1, round(radiance.shape[1] * scale)), max(1, round(radiance.shape[0] * scale)))
     grey = np.maximum(np.nan_to_num(radiance, posinf=0, neginf=0), 0)
-    inside = None if mask is None else mask.astype(np.uint8)
+    inside: Any = None if mask is None else mask.astype(np.uint8)
     if scale < 1:
         grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
         inside = None if inside is None else cv2.resize(inside, size, interpolation=cv2.INTER_NEAREST)
@@ -77,7 +78,7 @@ def features(
     if top <= 0:
         return nothing
     picture = (srgb_encode(np.clip(grey / top, 0, 1)) * 255 + 0.5).astype(np.uint8)
-    found, descriptors = cv2.SIFT_create(nfeatures=FEATURES, contrastThreshold=CONTRAST).detectAndCompute(picture, inside)
+    found, descriptors = cv2.SIFT.create(nfeatures=FEATURES, contrastThreshold=CONTRAST).detectAndCompute(picture, inside)
     if descriptors is None or len(found) < PAIR:
         return nothing
     rooted = np.sqrt(descriptors / np.maximum(descriptors.sum(1, keepdims=True), 1e-9))  # Arandjelovic and Zisserman 2012

@@ -267,3 +267,13 @@ def test_exposures_and_angles_stay_in_place_and_views_do_not(tmp_path, step):
         for i, image in enumerate(found):
             write(tmp_path / name / f"{i}.png", codes(image))
     assert [stays_in_place(sorted((tmp_path / name).iterdir())) for name in sets] == [True, True, False]
+
+
+@pytest.mark.parametrize("count", [3, 5])
+def test_a_few_pictures_of_one_framing_are_no_views_without_a_word(tmp_path, count):
+    for k in range(count):
+        write(tmp_path / "one" / "images" / f"{'abcde'[k]}.png", codes(np.minimum(PICTURES[0][0] * (0.3 + 0.2 * k), 1)))
+        write(tmp_path / "views" / "images" / f"{'abcde'[k]}.png", codes(picture(CAMERAS[0], turn_deg=20 * k)[0]))
+    (line,) = open_capture(tmp_path / "one").warnings
+    assert f"its {count} pictures show one framing" in line and line.endswith("check that they are views")
+    assert open_capture(tmp_path / "views").warnings == ()

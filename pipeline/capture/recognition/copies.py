@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pipeline.capture.naming.files import RAW_SUFFIXES, some
+from pipeline.capture.pixels.raw import raw_preview
 from pipeline.errors import UserError
 from pipeline.formats.images import read_stored
 
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
 
 PIECE = 1 << 12
 """Bytes at three places of a file that are compared first: noise makes them differ."""
+MANY = 0.5
+"""Share of the pictures that are copies from which it is no slip."""
 
 
 def copies(paths: Iterable[Path]) -> list[tuple[Path, Path]]:
@@ -69,11 +72,13 @@ def copied_pictures(capture: Capture) -> list[str]:
         capture: as recognised.
 
     Returns:
-        A warning, or none; pictures of one value all over, as black frames are, may well be the same.
+        A warning, or none; pictures of one value all over, as black frames are, may well be the same, and many are where a
+        renderer turned something round.
     """
     found: list[tuple[Path, Path]] = []
     for paths in _comparable(capture):
-        found += [pair for pair in copies(paths) if _shows_something(pair[0])]
+        twins = [pair for pair in copies(paths) if _shows_something(pair[0])]
+        found += twins if len(twins) < MANY * len(paths) else []
     if not found:
         return []
     what = "lights" if capture.kind == "light_stage" else "views"
@@ -92,10 +97,8 @@ def _comparable(capture: Capture) -> Sequence[Sequence[Path]]:
 
 
 def _shows_something(path: Path) -> bool:
-    if path.suffix.lower() in RAW_SUFFIXES:
-        return True
     try:
-        pixels = read_stored(path)[0]
+        pixels = raw_preview(path) if path.suffix.lower() in RAW_SUFFIXES else read_stored(path)[0]
     except (UserError, ValueError):
         return False
     return bool(pixels.size and np.nanmin(pixels) < np.nanmax(pixels))

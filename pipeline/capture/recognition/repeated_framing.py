@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from pipeline.capture.naming.files import count, some
-from pipeline.capture.recognition.one_framing import stays_in_place
+from pipeline.capture.recognition.one_framing import FEWEST, stays_in_place
 
 FEWEST_NAMES, MOST_NAMES = 3, 12
 """Pictures of a view; two are a pair of cameras as a rule."""
@@ -20,7 +20,8 @@ Split = Callable[[str], tuple[str, str] | None]
 
 
 def repeated_framing_words(paths: Sequence[Path], folder: Path) -> list[str]:
-    """A warning where the pictures `paths` below `folder` are several of each view, which stays in place in them; else none."""
+    """A warning where the pictures `paths` below `folder` are several of each view (or, where they are few, of one), which
+    stays in place in them; else none."""
     stems = {path.relative_to(folder).with_suffix("").as_posix(): path for path in paths}
     for split in (_last_word, _first_folder, _last_folder):
         sets = _full_sets(stems, split)
@@ -31,6 +32,11 @@ def repeated_framing_words(paths: Sequence[Path], folder: Path) -> list[str]:
                 f"{folder}: {fault} show one framing ({len(sets)} of them): angles or exposures? Name the angles "
                 "under [stack.angles_deg] in capture.toml, exposures as _ev+1, or check that they are views"
             ]
+    if FEWEST_NAMES <= len(paths) < FEWEST and stays_in_place(sorted(paths)):
+        return [
+            f"{folder}: its {len(paths)} pictures show one framing, in which light becomes brighter or darker and nothing "
+            "moves: angles, exposures or lights of one view? Name them so, or check that they are views"
+        ]
     return []
 
 
