@@ -135,7 +135,15 @@ def orders(count: int) -> Iterator[tuple[str, list[int]]]:
 
 
 def posed(camera: Camera, other: Camera) -> Camera:
-    """Give a camera another's pose."""
+    """Give a camera another's pose.
+
+    Args:
+        camera: whose lens and picture stay.
+        other: whose pose it takes.
+
+    Returns:
+        The camera where the other stands.
+    """
     return replace(camera, world_to_camera=other.world_to_camera)
 
 
