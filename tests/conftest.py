@@ -30,7 +30,11 @@ LONGEST = (
     "tests/train/test_training.py",
     "tests/train/test_concavity.py",
     "tests/engine/test_interrupts.py",
+    "tests/train/test_openings.py",
     "tests/crash",
+    "tests/mesh/test_rig_surface.py",
+    "tests/train/test_device.py",
+    "tests/train/test_indirect.py",
 )
 """From minutes of processor time down to a quarter of one: begun last, one of them would keep a single core at work. Neighbours
 here run at the same time, so they are such that do not compile the same kernels."""
