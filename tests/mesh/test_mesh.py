@@ -171,6 +171,7 @@ def test_stage_writes_tsdf_and_poisson_meshes(sphere_views, run_stage):
     assert run.facts["size"] == pytest.approx(2.0, rel=0.03)
 
 
+@pytest.mark.slow
 def test_stage_writes_an_asset_that_tells_where_it_was_baked_from(sphere_views, run_stage):
     run = run_stage(sphere_views(1.0, count=8, size=32), textures=True, max_texture=128)
     folder = run.output / "asset"

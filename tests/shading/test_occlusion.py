@@ -33,6 +33,7 @@ def test_a_half_sphere_blocks_half_the_light_of_every_point_inside_it(bowl):
     assert (light.shadow * np.pi * 0.9082 + light.bounced)[inner].max() < np.pi * 0.9082  # never more than the sky
 
 
+@pytest.mark.slow
 def test_transfer_is_differentiable_in_the_environment(bowl):
     radiance = torch.rand(6, 16, 16, 3, generator=torch.Generator().manual_seed(0)).requires_grad_()
     transfer = Transfer(bowl, np.full((len(bowl.vertices), 3), 0.5))

@@ -28,6 +28,7 @@ def case(environment):
     return texels, _fine(texels, 2), directions
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lobe", ["ggx", "beckmann"])
 def test_mirror_levels_equal_the_lobe_integral(case, lobe):
     texels, (d, w, radiance), directions = case

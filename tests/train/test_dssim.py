@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 import torch
 from skimage.metrics import structural_similarity
 
@@ -33,6 +34,7 @@ def test_it_is_scikit_images_value():
     assert abs(float(dssim(listed(a, pixels), listed(b, pixels), pixels, a.shape[:2])) - expected) < 1e-10
 
 
+@pytest.mark.slow
 def test_its_gradient_is_the_numerical_one():
     a, b, pixels = pictures(1, (20, 19))
     x = listed(a, pixels).requires_grad_(True)

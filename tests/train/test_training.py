@@ -96,6 +96,7 @@ def test_the_environments_smoothness_has_the_same_gradient_every_time():
     assert len(seen) == 1
 
 
+@pytest.mark.slow
 def test_what_no_training_view_sees_stays_and_what_is_transparent_goes(make_sources):
     trainer = trainer_of(make_sources(24, 9), replace(SMALL, max_splats=400))
     model = trainer.scene.model
@@ -281,6 +282,7 @@ def test_masks_of_one_pixel_are_refused(make_sources):
         trainer_of([replace(s, mask=dot) for s in make_sources(32, 12)])
 
 
+@pytest.mark.slow
 def test_an_object_nowhere_two_pixels_wide_is_trained_to_the_end(make_sources):
     def needle(source):
         cover = np.zeros_like(source.mask)
