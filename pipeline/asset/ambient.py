@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from pipeline.geometry.occluder import tangent_frames
 from pipeline.geometry.rays import RayMesh
+from pipeline.optics.sphere import cosine_directions
 
 from .choice import RAYS
 
@@ -44,10 +45,3 @@ def sky_seen(mesh: RayMesh, position: NDArray, normal: NDArray, lift: float) -> 
     distance, near = cKDTree(position[chosen]).query(position, k=NEIGHBOURS)
     weight = 1 / (distance + lift)
     return ((weight * free[near]).sum(1) / weight.sum(1)).astype(np.float32)
-
-
-def cosine_directions(count: int) -> NDArray[np.float64]:
-    """Directions [count, 3] about +z, as dense as their cosine: a spiral over the unit disc, lifted (Malley's method)."""
-    k = np.arange(count) + 0.5
-    radius, angle = np.sqrt(k / count), k * np.pi * (3 - np.sqrt(5))
-    return np.stack([radius * np.cos(angle), radius * np.sin(angle), np.sqrt(1 - radius**2)], -1)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from pipeline.engine.costs.cost import Cost
 from pipeline.engine.progress import Progress
 from pipeline.errors import UserError, nearest
+from pipeline.formats.dataset_files import OLAT
 from pipeline.formats.typed_values import typed
 
 if TYPE_CHECKING:
@@ -145,6 +146,16 @@ class StageRun:
     def note(self, key: str, value: Any) -> None:
         """Keep a JSON-able fact of this run in the manifest (such as a pass that was left out, and why)."""
         self.facts[key] = value
+
+    def of_light_stage(self) -> StageRun:
+        """The same run for the light stage alone, of a capture that has one beside its views (else the run itself).
+
+        Inputs that keep the light stage's files apart from the views', in a folder olat/, are taken there.
+        """
+        if self.capture.olat is None:
+            return self
+        inputs = {name: folder / OLAT if (folder / OLAT).is_dir() else folder for name, folder in self.inputs.items()}
+        return dataclasses.replace(self, capture=self.capture.olat, inputs=inputs)
 
 
 def parameters_from(stage: Stage, overrides: Mapping[str, Any], source: str, text: bool = True) -> Any:

@@ -17,12 +17,10 @@ LEAST_FACTOR = 1.1
 """Of a focal length: below it is what calibrations differ by."""
 LEAST_SHIFT = 0.02
 """Of the longer side, for a principal point: the same."""
-HOPELESS = 1e6
-"""Misfit beyond any that is measured, finite so that a search can take differences of it."""
 AS_GOOD = 1.5
 """Factor of two misfits that noise makes."""
 HOPELESS = 1e9
-"""Pixels: any misfit from here on is as bad."""
+"""Pixels: any misfit from here on is as bad; finite, so that a search can take differences of it."""
 MIRRORS = {"x": (-1.0, 1.0, 1.0), "y": (1.0, -1.0, 1.0), "z": (1.0, 1.0, -1.0)}
 Misfit = Callable[[Sequence[Camera]], float]
 """How badly some cameras fit the pictures: lower is better."""

@@ -1,5 +1,5 @@
-"""Quadrature on the sphere: product Gauss rules, solid angles of cube-map texels and latitude-longitude
-pixels (numpy, float64)."""
+"""Quadrature and directions on the sphere: product Gauss rules, a cosine-weighted spiral, solid angles of cube-map texels and
+latitude-longitude pixels (numpy, float64)."""
 
 from __future__ import annotations
 
@@ -41,6 +41,23 @@ def hemisphere_rule(n: int, m: int) -> tuple[Float, Float]:
     s = np.sqrt(1 - z * z)
     d = np.stack((s[:, None] * np.cos(phi), s[:, None] * np.sin(phi), np.broadcast_to(z[:, None], (n, m))), axis=-1)
     return d.reshape(-1, 3), np.repeat(w * 2 * np.pi / m, m)
+
+
+def cosine_directions(count: int) -> Float:
+    """Spread directions about +z, as dense as their cosine: each stands for pi / count of the projected solid angle.
+
+    Args:
+        count: how many.
+
+    Returns:
+        Unit vectors, the Fibonacci spiral of the unit disc lifted to the hemisphere. [count, 3]
+
+    Source: Malley's method (Pharr, Jakob, Humphreys, Physically Based Rendering, 13.6.3).
+    """
+    sine2 = (np.arange(count) + 0.5) / count
+    phi = (np.arange(count) + 0.5) * np.pi * (3 - np.sqrt(5.0))
+    sine = np.sqrt(sine2)
+    return np.stack([sine * np.cos(phi), sine * np.sin(phi), np.sqrt(1 - sine2)], -1)
 
 
 def _corner_area(x: Float, y: Float) -> Float:

@@ -58,8 +58,8 @@ def read_kept_samples(path: Path) -> KeptSamples:
         The samples.
 
     Raises:
-        UserError: the file is damaged.
+        UserError: the file is damaged, or lacks one of the arrays.
     """
-    found = {name: read_array(path, name) for name in array_names(path)}
-    numbers = {name: found[name] for name in NUMBERS}
-    return KeptSamples(found["pixels"], found["lights"], found["cross"], found.get("parallel"), numbers)
+    pixels, lights, cross = (read_array(path, name) for name in ("pixels", "lights", "cross"))
+    parallel = read_array(path, "parallel") if "parallel" in array_names(path) else None
+    return KeptSamples(pixels, lights, cross, parallel, {name: read_array(path, name) for name in NUMBERS})

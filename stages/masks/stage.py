@@ -11,7 +11,6 @@ from pipeline.engine.stage import Decision, Stage, StageRun
 from pipeline.formats.dataset_files import OLAT
 from stages import memory_estimate, time_estimate
 from stages.masks.parameters import MasksParameters, choose_method
-from stages.olat_beside_views import light_stage_run
 
 
 def needed(capture: Capture, parameters: MasksParameters) -> Decision:
@@ -39,7 +38,7 @@ def run(stage: StageRun) -> None:
 
     make_masks(stage)
     if stage.capture.olat is not None:
-        beside = replace(light_stage_run(stage), output=stage.output / OLAT, facts={})
+        beside = replace(stage.of_light_stage(), output=stage.output / OLAT, facts={})
         beside.output.mkdir()
         make_masks(beside)
         stage.note(OLAT, beside.facts)

@@ -12,7 +12,6 @@ from pipeline.engine.progress import brief
 from pipeline.engine.stage import Decision, Stage, StageRun
 from stages import memory_estimate, time_estimate
 from stages.olat.parameters import OlatParameters
-from stages.olat_beside_views import light_stage_run
 
 
 def needed(capture: Capture, parameters: OlatParameters) -> Decision:
@@ -101,7 +100,7 @@ def run(stage: StageRun) -> None:
     from stages.olat.reading.stream import reading
     from stages.olat.zoo.solvers import SOLVERS, check_installed
 
-    stage = light_stage_run(stage)
+    stage = stage.of_light_stage()
     if stage.parameters.solver in SOLVERS:
         check_installed(stage.parameters.solver)
     if second_fit(stage.capture, stage.parameters).run:

@@ -17,7 +17,6 @@ import torch
 
 from pipeline.formats import dataset_files as files
 from pipeline.geometry.lens import frames_folder
-from stages.olat_beside_views import maps_in_training
 
 from . import checkpoint
 from .angle_search import search_angles
@@ -28,6 +27,7 @@ from .setup import NO_POINTS, Start, prepare_training
 from .splats.closing import close_holes
 from .trainer import Trainer
 from .training_loop import optimise
+from .use_of_maps import maps_in_training
 from .views.olat_maps import read_map_pixels
 from .views.source_views import SourceView, load_sources
 from .write_results import finish_polarisers, openings_share, say_lost_gradients, say_what_is_unexplained, write_results

@@ -6,9 +6,9 @@ from pipeline.capture import Capture
 from pipeline.capture.view_rules import MIN_TRAINING_VIEWS
 from pipeline.engine.stage import Decision, Stage, StageRun
 from stages import memory_estimate, time_estimate
-from stages.olat_beside_views import maps_in_training
 
 from .parameters import TrainParameters
+from .use_of_maps import maps_in_training
 
 
 def needed(capture: Capture, parameters: TrainParameters) -> Decision:

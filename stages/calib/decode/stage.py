@@ -9,7 +9,6 @@ from pipeline.capture import Capture
 from pipeline.engine.stage import Decision, Stage, StageRun
 from stages import memory_estimate, time_estimate
 from stages.calib.decode.parameters import DecodeParameters
-from stages.olat_beside_views import light_stage_run
 
 
 def needed(capture: Capture, parameters: DecodeParameters) -> Decision:
@@ -43,7 +42,7 @@ def run(stage: StageRun) -> None:
     if stage.capture.one_light_at_a_time.light_stage is not None:
         from stages.calib.decode.olat_index import index_light_stage
 
-        index_light_stage(light_stage_run(stage))
+        index_light_stage(stage.of_light_stage())
 
 
 STAGE = Stage(

@@ -9,7 +9,6 @@ from stages.olat.evidence.before_fits import check_capture, check_rig
 from stages.olat.parameters import every
 from stages.olat.reading.rig_cameras import decoded, light_rig
 from stages.olat.reading.stream import reading
-from stages.olat_beside_views import light_stage_run
 
 
 def check_early(stage: StageRun) -> None:
@@ -21,7 +20,7 @@ def check_early(stage: StageRun) -> None:
     Raises:
         UserError: the frames contradict the light table or each other.
     """
-    stage = light_stage_run(stage)
+    stage = stage.of_light_stage()
     rig = light_rig(decoded(stage), every(stage.parameters.lights))
     with reading(stage) as lanes:
         check_rig(stage, rig, stage.capture.config.olat.near_light)

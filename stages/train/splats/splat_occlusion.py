@@ -14,6 +14,7 @@ from scipy.spatial import cKDTree
 
 from pipeline.geometry.normals import vertex_normals
 from pipeline.geometry.rays import RayMesh
+from pipeline.optics.sphere import cosine_directions
 from pipeline.shading import LightField, Occlusion, shade
 
 from ..initialise.hull import HullMesh
@@ -224,17 +225,8 @@ def trace_pixels(
     return unblocked, seen.reshape(count, LOBE_RAYS, 3).mean(1)
 
 
-def cosine_directions(count: int) -> np.ndarray:
-    """Cosine-weighted directions about z on a Fibonacci spiral, float32 [count, 3]: each stands for pi / count."""
-    k = np.arange(count) + 0.5
-    sine2 = k / count
-    phi = k * np.pi * (3 - np.sqrt(5.0))
-    sine = np.sqrt(sine2)
-    return np.stack([sine * np.cos(phi), sine * np.sin(phi), np.sqrt(1 - sine2)], -1).astype(np.float32)
-
-
 def cosine_rays(count: int, normals: np.ndarray, turn: np.ndarray) -> np.ndarray:
     """The cosine-weighted directions about each of the normals [P, 3], turned by `turn` [P] radians: [P, count, 3]."""
     out = np.empty((len(normals), count, 3), np.float32)
-    turned_directions(cosine_directions(count), normals.astype(np.float32), turn.astype(np.float32), out)
+    turned_directions(cosine_directions(count).astype(np.float32), normals.astype(np.float32), turn.astype(np.float32), out)
     return out

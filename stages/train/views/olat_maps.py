@@ -15,7 +15,6 @@ from pipeline.geometry.cameras import Camera, world_offset
 from pipeline.geometry.world_offset import less
 from pipeline.optics.model_names import Distribution
 from pipeline.rig.surface.read_maps import Rig, RigMaps
-from stages.olat_beside_views import light_stage_run
 
 from .source_views import SourceView
 from .training_frame import SceneFrame
@@ -61,7 +60,7 @@ def read_map_pixels(stage: StageRun, frame: SceneFrame, pixel: float) -> list[Ma
     Raises:
         UserError: maps that cannot be read.
     """
-    beside = light_stage_run(stage)
+    beside = stage.of_light_stage()
     rig = Rig(beside.capture.root, beside.inputs["decode"], beside.inputs["olat"], beside.inputs.get("masks"), fewest=1)
     offset = world_offset(beside.inputs["poses"] / files.CAMERAS)
     found = []

@@ -1,27 +1,9 @@
-"""The light stage beside a capture's views: what of a run is its own, and whether training takes its maps."""
+"""Whether training takes the maps of a light stage beside the views."""
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from pipeline.capture import Capture
-from pipeline.engine.stage import Decision, StageRun
-from pipeline.formats.dataset_files import OLAT
-
-
-def light_stage_run(run: StageRun) -> StageRun:
-    """Make a run that is of the light stage alone.
-
-    Args:
-        run: of any capture.
-
-    Returns:
-        The same run; of a capture of views and a light stage, that of the light stage, whose masks lie in `masks/olat/`.
-    """
-    if run.capture.olat is None:
-        return run
-    inputs = {name: folder / OLAT if name == "masks" else folder for name, folder in run.inputs.items()}
-    return replace(run, capture=run.capture.olat, inputs=inputs)
+from pipeline.engine.stage import Decision
 
 
 def maps_in_training(capture: Capture, wanted: str) -> Decision:
