@@ -277,6 +277,42 @@ def test_a_linear_program_is_no_light_table(tmp_path):
     assert open_capture(tmp_path).layout == "photographs"
 
 
+@pytest.mark.parametrize("kind", ["lp", "filenames"])
+@pytest.mark.parametrize(
+    ("names", "words"),
+    [
+        (["003.png", "002.png", "O01.png", "000.png"], r"names O01\.png, which .* has not \(1 of 4 lights\)"),
+        (["003.png", "002.png", "002.png", "000.png"], r"names 002\.png twice"),
+        (["a.png", "b.png", "c.png", "d.png"], None),
+    ],
+)
+def test_names_of_a_light_table_that_miss_pictures_are_never_passed_over(kind, names, words, tmp_path):
+    """Without them light k would be picture k, whatever order the table is in."""
+    for k in range(4):
+        ball.write(tmp_path / f"{k:03d}.png", np.full((16, 16, 3), 900 * (k + 1), np.uint16))
+    rows = [f"{0.1 * k} 0.2 1" for k in range(4)]
+    if kind == "lp":
+        (tmp_path / "dome.lp").write_text("4\n" + "\n".join(f"{n} {row}" for n, row in zip(names, rows)))
+    else:
+        (tmp_path / "light_directions.txt").write_text("\n".join(rows))
+        (tmp_path / "filenames.txt").write_text("\n".join(names))
+    if words is None:
+        (line,) = open_capture(tmp_path).warnings
+        assert "none of the pictures that the table names is here (a.png, b.png" in line
+        return
+    with pytest.raises(UserError, match=words):
+        open_capture(tmp_path)
+
+
+def test_names_that_do_not_count_the_lights_are_refused(tmp_path):
+    for k in range(4):
+        ball.write(tmp_path / f"{k:03d}.png", np.full((16, 16, 3), 900 * (k + 1), np.uint16))
+    (tmp_path / "light_directions.txt").write_text("0 0 1\n0 1 1\n1 0 1\n1 1 1\n")
+    (tmp_path / "filenames.txt").write_text("000.png\n001.png\n002.png\n")
+    with pytest.raises(UserError, match=r"filenames\.txt: names 3 pictures, light_directions\.txt has 4 lights"):
+        open_capture(tmp_path)
+
+
 # ---- one framing, seen in the pictures -------------------------------------------------------------------------------
 @pytest.mark.slow
 @pytest.mark.parametrize("count", [6, 8, 13, 40])

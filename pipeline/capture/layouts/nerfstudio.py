@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 from typing import Any
 
-from pipeline.capture.assembly.assemble import all_have_alpha, find_plates
+from pipeline.capture.assembly.assemble import alpha_of, find_plates
 from pipeline.capture.assembly.sources import discover
 from pipeline.capture.camera_files.transforms_json import FILE, NerfFrame, captures_below, held_out, load_frames, table_files
 from pipeline.capture.config import CaptureConfig
@@ -18,16 +18,15 @@ from pipeline.capture.naming.files import (
     IMAGE_FOLDERS,
     IMAGE_SUFFIXES,
     UNREADABLE,
-    check_masks,
     count,
     find_environments,
-    find_masks,
     list_images,
     polariser_priors,
     some,
     sorted_views,
 )
 from pipeline.capture.naming.grouping import Group
+from pipeline.capture.naming.masks import check_masks, find_masks
 from pipeline.capture.recognition.stray_files import sort_out
 from pipeline.errors import UserError
 from pipeline.formats.bare_arrays import ARRAY_SUFFIXES
@@ -101,14 +100,14 @@ def read(root: Path, config: CaptureConfig) -> Capture:
     kind: Polarisation = "stokes" if sources.holds_stokes else "polarisers" if polarised else "none"
     plates, plate_files = find_plates(root, config, tuple(views))
     environments = find_environments(root)
-    alpha = not masks and all_have_alpha(views)
+    alpha, words = (False, []) if masks else alpha_of(views)
     name = {"stokes_files": "stokes_transforms", "colour": f"{'polarisers' if polarised else 'rgb'}_transforms"}
     cameras_from = "cameras: " + ", ".join(_below(p, root) for p in files)
     facts = sources.facts if files == [root / FILE] else (*sources.facts, cameras_from)
     return Capture(
         root, name.get(sources.kind, f"{sources.kind}_transforms"), "multiview", kind, sorted_views(views),
         environments=environments, config=config, up=config.up or "y", cameras=cameras, parts=held_out(parts),
-        masks=masks or ("alpha" if alpha else None), warnings=tuple(warnings), facts=facts, clean_plates=plates,
+        masks=masks or ("alpha" if alpha else None), warnings=(*warnings, *words), facts=facts, clean_plates=plates,
         polarisers=polariser_priors([v.camera for v in views], config) if kind == "polarisers" else {},
         files=(*files, *(p for v in views for p in v.paths), *masks.values(), *plate_files, *environments),
     )  # fmt: skip

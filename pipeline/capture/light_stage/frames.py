@@ -34,7 +34,7 @@ def pass_frames(folder: Path, lights: LightTable, table: Path, first: int | None
     Raises UserError when frames are missing, empty, or their numbers do not fit the table.
     """
     paths = frame_files(folder)
-    named = frames_by_name(paths, lights.names)
+    named = frames_by_name(paths, lights.names, table)
     if named is not None:
         rest = tuple(p for p in paths if p not in set(named))
         return PassFrames(_not_empty(named), left_out=rest)
@@ -84,15 +84,26 @@ def frame_offset(index: NDArray[np.int64], numbers: Sequence[int], folder: Path,
     raise UserError(table, fault, f"{remedy}: first_frame = 2 under [olat] in capture.toml")
 
 
-def frames_by_name(paths: list[Path], names: tuple[str, ...] | None) -> tuple[Path, ...] | None:
-    """The frames that a table names, in its order; None where it names none, or they are not all here by name."""
+def frames_by_name(paths: list[Path], names: tuple[str, ...] | None, table: Path) -> tuple[Path, ...] | None:
+    """The frames that a table names, in its order; None where it names none, or none of them is here by name.
+
+    Raises UserError where it names one twice, or one that is not here while others are: by number or in order, as where no
+    name tells, each light's frame might be another's.
+    """
     if names is None:
         return None
     stems = {p.stem.lower(): p for p in paths}
-    wanted = [_stem(name) for name in names]
-    if len(set(wanted)) == len(wanted) and all(stem in stems for stem in wanted):
-        return tuple(stems[stem] for stem in wanted)
-    return None
+    wanted = {_stem(name): name for name in names}
+    lost = [name for stem, name in wanted.items() if stem not in stems]
+    if len(lost) == len(wanted):
+        return None
+    if len(wanted) < len(names):
+        twice = next(name for k, name in enumerate(names) if _stem(name) in map(_stem, names[:k]))
+        raise UserError(table, f"names {twice} twice", "name each light's own picture")
+    if lost:
+        fault = f"names {some(lost)}, which {paths[0].parent} has not ({len(lost)} of {len(wanted)} lights)"
+        raise UserError(table, fault, "correct the names, or copy the missing pictures")
+    return tuple(stems[stem] for stem in wanted)
 
 
 def _stem(name: str) -> str:

@@ -9,6 +9,7 @@ from dataclasses import fields
 from pipeline.capture.config import MosaicConfig, OlatConfig, RadiometryConfig, RawConfig, StackConfig
 from pipeline.capture.model import Capture
 from pipeline.capture.naming.files import some
+from pipeline.capture.radiometry.exposure import known_seconds
 from pipeline.errors import UserError
 
 ARRAYS = frozenset({"rmvp3d", "smvp3d"})
@@ -49,6 +50,17 @@ def refuse_idle_tables(capture: Capture) -> None:
     if plate is not None and not capture.clean_plates and capture.views:
         fault = f"clean_plate: no picture in {plate} is named like a view or a camera"
         raise UserError(config.path, fault, "give one picture, or name them like the views or the cameras")
+
+
+def exposures_for_some(capture: Capture) -> list[str]:
+    """A line where exposure_s tells some of a capture's views, and the others are taken as they are beside them."""
+    known = capture.config.radiometry.exposure_s
+    single = [v for v in capture.views if len(v.paths) == 1]
+    silent = [v.view for v in single if known_seconds(v.paths[0], v.view, known) is None]
+    if not known or not silent or len(silent) == len(single):
+        return []
+    fault = f"radiometry.exposure_s tells {len(single) - len(silent)} of {len(single)} views (not {some(silent)})"
+    return [f"{capture.config.path}: {fault}: the others are taken as if exposed for 1 s; give each its exposure"]
 
 
 def _refuse_idle_polarisers(capture: Capture) -> None:

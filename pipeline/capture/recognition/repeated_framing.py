@@ -8,10 +8,14 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from pipeline.capture.naming.files import count, some
-from pipeline.capture.recognition.one_framing import FEWEST, stays_in_place
+from pipeline.capture.recognition.one_framing import FEWEST, few_of_one_framing, stays_in_place
 
-FEWEST_NAMES, MOST_NAMES = 3, 12
-"""Pictures of a view; two are a pair of cameras as a rule."""
+FEWEST_NAMES, MOST_NAMES = 2, 12
+"""Pictures of a view; two are a pair of cameras as a rule, in which things move."""
+FEWEST_ANGLES = 3
+"""Of a polariser, that tell a Stokes vector."""
+FEWEST_FEW = 3
+"""Pictures of one framing, where they are all: two tell too little."""
 LOOKED_AT = 3
 """Views whose pictures are compared."""
 LAST_WORD = re.compile(r"^(.+)[_\- ]([^_\- ]+)$")
@@ -27,17 +31,33 @@ def repeated_framing_words(paths: Sequence[Path], folder: Path) -> list[str]:
         sets = _full_sets(stems, split)
         if sets and all(stays_in_place([found[name] for name in sorted(found)]) for found in list(sets.values())[:LOOKED_AT]):
             names = sorted(next(iter(sets.values())))
+            if len(names) < FEWEST_ANGLES:
+                return [_two_of_each(folder, names, len(sets), len(paths))]
             fault = f"{count(paths, 'picture')} are taken as a view each, but those that differ in {some(names)} alone"
             return [
                 f"{folder}: {fault} show one framing ({len(sets)} of them): angles or exposures? Name the angles "
                 "under [stack.angles_deg] in capture.toml, exposures as _ev+1, or check that they are views"
             ]
-    if FEWEST_NAMES <= len(paths) < FEWEST and stays_in_place(sorted(paths)):
+    kind = few_of_one_framing(sorted(paths)) if FEWEST_FEW <= len(paths) < FEWEST else None
+    if kind == "gain":
         return [
             f"{folder}: its {len(paths)} pictures show one framing, in which light becomes brighter or darker and nothing "
             "moves: angles, exposures or lights of one view? Name them so, or check that they are views"
         ]
+    if kind == "light":
+        return [
+            f"{folder}: its {len(paths)} pictures show one framing under changing light: lights of a light stage that lacks "
+            "its light table, and no views, of which a model needs eight; add the table (docs/light_stage.md), or check that "
+            "they are views"
+        ]
     return []
+
+
+def _two_of_each(folder: Path, names: Sequence[str], sets: int, paths: int) -> str:
+    return (
+        f"{folder}: {paths} pictures are taken as a view each, but those that differ in {some(names)} alone show one framing "
+        f"({sets} of them): two angles of a polariser? A third makes Stokes vectors of them; of two, give one as the views"
+    )
 
 
 def _full_sets(stems: dict[str, Path], split: Split) -> dict[str, dict[str, Path]]:
