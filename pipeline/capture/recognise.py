@@ -20,7 +20,7 @@ from pipeline.capture.recognition.foreign import (
     refuse_unreadable,
     refuse_without_pictures,
 )
-from pipeline.capture.recognition.idle_tables import exposures_for_some, refuse_idle_tables
+from pipeline.capture.recognition.idle_tables import exposures_for_some, polarisers_alike, refuse_idle_tables
 from pipeline.capture.recognition.misnamed_settings import misnamed_settings
 from pipeline.errors import UserError
 from pipeline.geometry.camera_check import one_pose_words, outside_words, refuse_one_place
@@ -99,5 +99,5 @@ def _checked(capture: Capture) -> Capture:
     given = capture.cameras if capture.kind == "multiview" and capture.cameras else {}
     twins = (*one_pose_words(given, capture.camera_file), *outside_words(given, capture.camera_file))
     files = (*copied_pictures(capture), *foreign_warnings(capture), *lost_links(capture.root))
-    found = (*twins, *misnamed_settings(capture.root), *exposures_for_some(capture), *files)
+    found = (*twins, *misnamed_settings(capture.root), *exposures_for_some(capture), *polarisers_alike(capture), *files)
     return replace(capture, warnings=(*capture.warnings, *found))

@@ -51,6 +51,20 @@ def test_what_may_be_settings_is_named(name, tmp_path):
     assert said(tmp_path) == ""
 
 
+def test_polarisers_at_one_angle_and_settings_of_stokes_vectors_without_any_are_told(tmp_path):
+    photographs(tmp_path)
+    table = ball.transforms(CAMERAS, [f"images/{k:03d}.png" for k in range(4)])
+    for k, frame in enumerate(table["frames"]):
+        frame["camera"] = "ab"[k % 2]
+    ball.save(tmp_path / "transforms.json", table)
+    for angle, alike in ((190, True), (100, False)):
+        (tmp_path / "capture.toml").write_text(f"polarisers.a.angle_deg = 10\npolarisers.b.angle_deg = {angle}\n")
+        assert ("all stand at 10 degrees" in said(tmp_path)) is alike
+    (tmp_path / "capture.toml").write_text("stokes.flip_s2 = true\n")
+    with pytest.raises(UserError, match=r"\[stokes\] is set, but"):
+        open_capture(tmp_path)
+
+
 def test_exposures_of_some_views_are_said(tmp_path):
     with_table(tmp_path)
     (tmp_path / "capture.toml").write_text('[radiometry]\nexposure_s = { "000" = 0.02 }\n')
@@ -82,6 +96,15 @@ def model_elsewhere(root):
     write_sparse(root / "reconstruction" / "model", {f"{k:03d}.png": c for k, c in enumerate(CAMERAS)})
 
 
+def half_model(root):
+    write_sparse(root / "sparse" / "0", {f"{k:03d}.png": c for k, c in enumerate(CAMERAS)})
+    (root / "sparse" / "0" / "images.txt").unlink()
+
+
+def calibration(root):
+    (root / "calib.yml").write_text("camera_matrix: !!opencv-matrix\n")
+
+
 def array(root):
     np.save(root / "poses.npy", np.stack([c.camera_to_world for c in CAMERAS]))
 
@@ -94,6 +117,8 @@ def array(root):
         (one_file, "poses.csv: names the pictures"),
         (other_table, "transforms_all.json: looks like a table of cameras"),
         (model_elsewhere, "model: a COLMAP model is not looked for here"),
+        (half_model, "sparse/0: holds cameras.txt, points3D.txt and no whole model"),
+        (calibration, "calib.yml: looks like the calibration of a lens"),
         (array, "poses.npy: an array of a matrix for each picture"),
     ],
 )
@@ -134,6 +159,24 @@ def test_masks_of_a_kind_that_is_not_read_are_refused(tmp_path):
         np.save(tmp_path / f"masks/{k:03d}.npy", mask)
     with pytest.raises(UserError, match=r"masks: holds 4 files \(000\.npy.*none of which is a mask"):
         open_capture(tmp_path)
+
+
+def test_two_masks_of_one_view_are_refused(tmp_path):
+    with_table(tmp_path)
+    for k, (_, _, mask) in enumerate(PICTURES):
+        for suffix in ("png", "jpg")[: 1 + (k == 2)]:
+            ball.write(tmp_path / f"masks/{k:03d}.{suffix}", mask.astype(np.uint8) * 255)
+    with pytest.raises(UserError, match=r"002\.png: is the mask of the same view as 002\.jpg"):
+        open_capture(tmp_path)
+
+
+def test_frames_without_mask_or_camera_beside_those_that_name_one_are_said(tmp_path):
+    photographs(tmp_path)
+    ball.write(tmp_path / "masks/000.png", PICTURES[0][2].astype(np.uint8) * 255)
+    table = ball.transforms(CAMERAS, [f"images/{k:03d}.png" for k in range(4)])
+    table["frames"][0].update(mask_path="masks/000.png", camera="left")
+    ball.save(tmp_path / "transforms.json", table)
+    assert "no mask_path for 3 views (001, 002, 003)" in said(tmp_path) and "3 frames (images/001.png" in said(tmp_path)
 
 
 def test_a_mask_of_no_view_is_named(tmp_path):

@@ -277,6 +277,36 @@ def test_a_linear_program_is_no_light_table(tmp_path):
     assert open_capture(tmp_path).layout == "photographs"
 
 
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda text: text.replace(",", ";"), "semicolons or tabs"),
+        (lambda text: text.replace(",", "\t"), "semicolons or tabs"),
+        (lambda text: text.split("\n", 1)[1], "it begins with numbers"),
+        (lambda text: text.replace("index,x,y,z", "light,lx,ly,lz"), "it has light,lx,ly,lz"),
+    ],
+)
+def test_a_table_without_its_columns_is_told_why(change, words, tmp_path):
+    directions = ball.write_stage(tmp_path, 4)
+    (tmp_path / "lights.csv").write_text(change(ball.lights_csv(directions)))
+    with pytest.raises(UserError, match=rf"lights\.csv: has no column .*{words}"):
+        open_capture(tmp_path)
+    (tmp_path / "lights.csv").write_bytes(ball.lights_csv(directions).encode("utf-16"))
+    with pytest.raises(UserError, match="UTF-16"):
+        open_capture(tmp_path)
+
+
+def test_masks_that_are_not_read_and_cameras_that_look_away_are_told(tmp_path):
+    directions = ball.write_stage(tmp_path, 4)
+    (tmp_path / "lights.csv").write_text(ball.lights_csv(directions))
+    assert open_capture(tmp_path).warnings == ()
+    np.save(tmp_path / "cam00" / "mask.npy", np.ones((16, 16)))
+    path = tmp_path / "cameras" / "camera00.txt"
+    path.write_text(path.read_text().replace("0 0 1 400", "0 0 1 -400"))
+    mask, away = open_capture(tmp_path).warnings
+    assert "mask.npy: is no mask that is read" in mask and "the stage's centre (0, 0, 0) lies behind cam00" in away
+
+
 @pytest.mark.parametrize("kind", ["lp", "filenames"])
 @pytest.mark.parametrize(
     ("names", "words"),

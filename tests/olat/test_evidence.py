@@ -209,6 +209,12 @@ def test_passes_in_doubt_are_reported(change, words):
     assert fault is None and doubt is not None and words in doubt
 
 
+def test_directions_that_are_taken_for_places_are_doubted():
+    unit = LightTable(LIGHTS, LIGHTS, np.ones(len(LIGHTS)), None)
+    assert table_faults(unit, near=False)[1] == [] and "1 world unit" in table_faults(unit, near=True)[1][0]
+    assert table_faults(table(LIGHTS), near=True)[1] == []
+
+
 def test_single_lights_that_are_not_where_the_table_has_them_are_named():
     light = 2 * np.pi * ball()[0].mean(-1)
     noisy = light * (1 + 0.03 * np.random.default_rng(2).normal(size=light.shape))

@@ -10,7 +10,7 @@ from pathlib import Path
 from pipeline.capture.naming.files import list_images, some, subfolders
 from pipeline.errors import UserError
 from pipeline.formats.arrays import array_shape
-from pipeline.formats.colmap import holds_model
+from pipeline.formats.colmap import FILES, holds_model
 
 TEXT = frozenset({".txt", ".json", ".jsonl", ".csv", ".tsv", ".xml", ".xmp", ".yaml", ".yml", ".cam", ".out", ".log", ".dat"})
 LARGEST, MOST_FILES = 1 << 24, 200
@@ -40,7 +40,7 @@ def cameras_under_other_names(root: Path, folder: Path) -> list[str]:
         return []
     homes = subfolders(root)
     places = [root, *homes, *(q for p in homes for q in subfolders(p))][:MOST_FILES]
-    found = [*_models(places), *_tables(places), *_a_file_each(places, {p.stem for p in pictures})]
+    found = [*_models(places), *_half_models(root), *_tables(places), *_a_file_each(places, {p.stem for p in pictures})]
     found = found or _arrays(places, len(pictures)) or _naming_all(places, [p.name for p in pictures])
     return found or _calibrations(places)
 
@@ -49,6 +49,15 @@ def _models(places: Sequence[Path]) -> list[str]:
     """COLMAP models that lie elsewhere."""
     there = [p for p in places if holds_model(p)]
     return [f"{p}: a COLMAP model is not looked for here; to use it, move it to sparse/0 beside the images" for p in there[:1]]
+
+
+def _half_models(root: Path) -> list[str]:
+    """A folder for COLMAP's models without a whole one."""
+    for place in (p for name in ("sparse", "colmap") for p in (root / name, *sorted((root / name).glob("*"))) if p.is_dir()):
+        parts = sorted(p.name for p in place.iterdir() if p.stem in FILES)
+        if parts and not holds_model(place):
+            return [f"{place}: holds {some(parts)} and no whole model (cameras and images, both .bin or .txt): export it again"]
+    return []
 
 
 def _tables(places: Sequence[Path]) -> list[str]:

@@ -35,6 +35,7 @@ from pipeline.geometry.cameras import Camera, camera_from_frame
 
 DEFAULT_CAMERA = "camera"
 CHECK = "check the file_path of its frames"
+CHECK_CAMERA = "check whose polariser they are behind"
 MISPLACED = "put the images where file_path says"
 
 
@@ -92,11 +93,17 @@ def read(root: Path, config: CaptureConfig) -> Capture:
     if not masks:
         masks, more = find_masks(root, {v.view: v.paths[0] for v in views}, folder)
         warnings += more
+    elif len(masks) < len(views):
+        without = [v.view for v in views if v.view not in masks]
+        warnings.append(f"{where}: no mask_path for {count(without, 'view')} ({some(without)}): these are segmented")
     for mask in masks.values():
         if not mask.is_file():
             raise UserError(mask, f"named in {where.name} but not there", "add it or remove its mask_path")
     check_masks(masks, lambda view: (cameras[view].width, cameras[view].height))
-    polarised = bool(config.polarisers) or any("camera" in frame.entry for frame in frames)
+    nameless = [frame.entry["file_path"] for frame in frames if "camera" not in frame.entry]
+    polarised = bool(config.polarisers) or len(nameless) < len(frames)
+    if 0 < len(nameless) < len(frames):
+        warnings.append(f"{where}: {count(nameless, 'frame')} ({some(nameless)}) name no camera, others do: {CHECK_CAMERA}")
     kind: Polarisation = "stokes" if sources.holds_stokes else "polarisers" if polarised else "none"
     plates, plate_files = find_plates(root, config, tuple(views))
     environments = find_environments(root)

@@ -66,7 +66,8 @@ def find_masks(root: Path, views: Mapping[str, Path], folder: Path) -> tuple[dic
     by_stem: dict[str, Path] = {}
     for path in list_images(where, PHOTO_SUFFIXES):
         name = path.relative_to(where).with_suffix("").as_posix()
-        by_stem.setdefault(name, path)
+        if by_stem.setdefault(name, path) != path:
+            raise UserError(path, f"is the mask of the same view as {by_stem[name].name}", "remove one of them")
         by_stem.setdefault(name.replace("/", "_"), path)
     found: dict[str, Path] = {}
     for view, image in views.items():

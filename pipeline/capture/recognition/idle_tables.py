@@ -6,12 +6,14 @@ import difflib
 from collections.abc import Iterable
 from dataclasses import fields
 
-from pipeline.capture.config import MosaicConfig, OlatConfig, RadiometryConfig, RawConfig, StackConfig
+from pipeline.capture.config import MosaicConfig, OlatConfig, RadiometryConfig, RawConfig, StackConfig, StokesConfig
 from pipeline.capture.model import Capture
 from pipeline.capture.naming.files import some
 from pipeline.capture.radiometry.exposure import known_seconds
 from pipeline.errors import UserError
 
+SAME_ANGLE_DEG = 5.0
+"""Between polarisers: less tells hardly any polarisation."""
 ARRAYS = frozenset({"rmvp3d", "smvp3d"})
 """Layouts of NumPy files that hold Stokes vectors in radiance."""
 
@@ -34,6 +36,9 @@ def refuse_idle_tables(capture: Capture) -> None:
     if config.mosaic != MosaicConfig() and not _fact(capture, "polariser mosaic"):
         fault = f"[mosaic] is set, but the images were understood as {_kind(capture)}"
         raise UserError(config.path, fault, "give the sensor's single-channel files, or take the table out")
+    if config.stokes != StokesConfig() and capture.polarisation != "stokes":
+        fault = f"[stokes] is set, but the images were understood as {_kind(capture)}, without Stokes vectors"
+        raise UserError(config.path, fault, "take the table out, or give images that hold them")
     if config.stack != StackConfig() and not _fact(capture, "stacks behind"):
         fault = f"[stack] is set, but the images were understood as {_kind(capture)}"
         raise UserError(config.path, fault, "name the angle of each file, or take the table out")
@@ -50,6 +55,17 @@ def refuse_idle_tables(capture: Capture) -> None:
     if plate is not None and not capture.clean_plates and capture.views:
         fault = f"clean_plate: no picture in {plate} is named like a view or a camera"
         raise UserError(config.path, fault, "give one picture, or name them like the views or the cameras")
+
+
+def polarisers_alike(capture: Capture) -> list[str]:
+    """A line where every camera's polariser is known to stand at one angle, so that no polarisation can be told."""
+    known = [p.angle_deg for p in capture.polarisers.values() if p.trusted and p.angle_deg is not None]
+    if capture.polarisation != "polarisers" or not 2 <= len(known) == len(capture.polarisers):
+        return []
+    if max(abs((angle - known[0] + 90) % 180 - 90) for angle in known) > SAME_ANGLE_DEG:
+        return []
+    fault = f"the polarisers of {some(sorted(capture.polarisers))} all stand at {known[0] % 180:g} degrees"
+    return [f"{capture.config.path}: {fault}: nothing tells polarisation then; check the angles, or say trusted = false"]
 
 
 def exposures_for_some(capture: Capture) -> list[str]:
