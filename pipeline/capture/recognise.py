@@ -8,7 +8,7 @@ from pathlib import Path
 
 from pipeline.capture.config import load_config
 from pipeline.capture.layouts import all_layouts
-from pipeline.capture.light_stage.beside_views import folder_beside, joined, read_beside
+from pipeline.capture.light_stage.beside_views import folder_beside, idle_words, joined, read_beside
 from pipeline.capture.model import Capture
 from pipeline.capture.naming.files import ARCHIVES, refuse_duplicates
 from pipeline.capture.naming.safe_names import refuse_special_files
@@ -87,6 +87,7 @@ def open_capture(path: Path | str) -> Capture:
 def _with_stage(capture: Capture, folder: Path | None) -> Capture:
     """A capture, checked, with the light stage in `folder` where it is one of views."""
     views = _checked(capture)
+    views = replace(views, warnings=(*views.warnings, *idle_words(views)))
     return views if folder is None or views.kind != "multiview" else joined(views, _checked(read_beside(views, folder)))
 
 

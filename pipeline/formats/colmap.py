@@ -179,11 +179,10 @@ def forms_differ(folder: Path, model: ColmapModel) -> bool:
 
 
 def _alike(first: Camera, second: Camera) -> bool:
-    lenses = [np.array([c.width, c.height, c.fx, c.fy, c.cx, c.cy, *c.distortion]) for c in (first, second)]
-    poses = [c.world_to_camera for c in (first, second)]
-    scale = max(1.0, float(np.abs(poses[1]).max()))
-    same = len(lenses[0]) == len(lenses[1]) and np.allclose(*lenses, rtol=SAME_FORM, atol=SAME_FORM)
-    return same and np.allclose(*poses, rtol=0, atol=SAME_FORM * scale)
+    one, other = (np.array([c.width, c.height, c.fx, c.fy, c.cx, c.cy, *c.distortion]) for c in (first, second))
+    scale = max(1.0, float(np.abs(second.world_to_camera).max()))
+    posed = np.allclose(first.world_to_camera, second.world_to_camera, rtol=0, atol=SAME_FORM * scale)
+    return posed and len(one) == len(other) and np.allclose(one, other, rtol=SAME_FORM, atol=SAME_FORM)
 
 
 Lens = tuple[str, int, int, list[float]]

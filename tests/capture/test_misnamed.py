@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -217,3 +218,19 @@ def test_maps_that_are_not_read_are_named_and_their_previews_are_not(tmp_path):
     assert "envmaps: left out sky.png" in said(tmp_path)
     ball.write(tmp_path / "envmaps/sky.hdr", np.ones((8, 16, 3), np.float32), "float")
     assert said(tmp_path) == ""
+
+
+def test_maps_under_another_name_are_named(tmp_path):
+    with_table(tmp_path)
+    ball.write(tmp_path / "hdri/sky.hdr", np.ones((8, 16, 3), np.float32), "float")
+    assert "hdri: holds sky.hdr: to relight with it, name the folder envmaps/" in said(tmp_path)
+
+
+def test_a_light_stage_that_nothing_reads_is_named(tmp_path):
+    with_table(tmp_path)
+    (tmp_path / "olat").mkdir()
+    directions = ball.write_stage(tmp_path / "olat", 4)
+    assert "olat: holds passes of a light stage and no light table" in said(tmp_path)
+    shutil.rmtree(tmp_path / "olat")
+    (tmp_path / "lights.csv").write_text(ball.lights_csv(directions))
+    assert "lights.csv: a light table beside views is not used" in said(tmp_path)

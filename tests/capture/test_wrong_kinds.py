@@ -45,7 +45,7 @@ def test_a_few_pictures_under_changing_light_are_told_as_that(count, tmp_path):
 def test_detail_stays_under_moving_light_and_not_in_views():
     lit = np.stack([colour.mean(-1) for colour in under_lights(4)]).astype(float)
     views = np.stack([colour.mean(-1) for colour, _, _ in PICTURES]).astype(float)
-    assert still_detail(lit) > 0.7 and still_detail(views) < 0.2 and still_detail(np.ones((3, 48, 48))) == 0
+    assert still_detail(lit) > 0.7 and still_detail(views) < 0.2 and still_detail(np.ones((3, 48, 48))) is None
 
 
 @pytest.mark.parametrize("name", ["images/{}_{}.png", "{1}/{0}.png"])
@@ -55,6 +55,25 @@ def test_two_pictures_of_each_view_are_no_views_without_a_word(name, words, tmp_
         for word, degrees in zip(words, (0, 90)):
             ball.write(tmp_path / name.format(k, word), ball.codes(ball.behind(stokes, degrees)))
     assert "show one framing (4 of them): two angles of a polariser?" in said(tmp_path)
+
+
+def test_stops_of_a_turntable_that_are_named_as_angles_are_doubted(tmp_path):
+    for row, rise in (("low", 0.1), ("high", 0.6)):
+        for k, camera in enumerate(ball.ring(8, 96, rises=(rise,))[:4]):
+            ball.write(tmp_path / f"images/{row}_{45 * k:03d}.png", ball.codes(ball.picture(camera)[0]))
+    faults = [" ".join(view.read().faults) for view in open_capture(tmp_path).views]
+    assert len(faults) == 2 and all("stops of a turntable" in fault for fault in faults)
+    (tmp_path / "capture.toml").write_text('layout = "photographs"\n')
+    assert len(open_capture(tmp_path).views) == 8
+
+
+def test_lights_in_folders_of_their_own_are_told(tmp_path):
+    for k, camera in enumerate(CAMERAS):
+        for n, light in enumerate(np.eye(3)):
+            away = camera.world_to_camera[2, :3]
+            colour = ball.picture(camera, (light - away) / np.linalg.norm(light - away))[0]
+            ball.write(tmp_path / f"light{n}/{k}.png", ball.codes(colour))
+    assert "light0, light1, light2 alone show one framing (4 of them) under changing light" in said(tmp_path)
 
 
 def test_pairs_of_cameras_are_views(tmp_path):
@@ -115,6 +134,25 @@ def test_integers_that_no_camera_writes_are_doubted(kind, tmp_path):
     for k, (colour, _, _) in enumerate(PICTURES):
         tifffile.imwrite(tmp_path / f"images/{k}.tif", (colour * 4095).astype(kind), photometric="rgb")
     assert "samples, which are read as parts of" in said(tmp_path)
+
+
+def test_a_focal_length_in_millimetres_is_refused(tmp_path):
+    for k, (colour, _, _) in enumerate(PICTURES):
+        ball.write(tmp_path / f"images/{k}.png", ball.codes(colour))
+    (tmp_path / "capture.toml").write_text("poses.focal_px = 4\n")
+    with pytest.raises(UserError, match=r"poses\.focal_px = 4 is no focal length of pictures of 96 pixels"):
+        open_capture(tmp_path)
+
+
+def test_a_picture_too_many_does_not_shift_the_lights(tmp_path):
+    for k in range(5):
+        ball.write(tmp_path / f"{k + 1:03d}.png", np.full((16, 16, 3), 900 * (k + 1), np.uint16))
+    (tmp_path / "light_directions.txt").write_text("0 0 1\n0 1 1\n1 0 1\n1 1 1\n")
+    with pytest.raises(UserError, match=r"lists 4 lights, but .* has 5 pictures, and nothing says which are theirs"):
+        open_capture(tmp_path)
+    (tmp_path / "filenames.txt").write_text("001.png\n002.png\n004.png\n005.png\n")
+    (camera,) = open_capture(tmp_path).light_stage.cameras.values()
+    assert [path.stem for path in camera.cross] == ["001", "002", "004", "005"]
 
 
 def test_intrinsics_of_no_lens_and_of_larger_pictures(tmp_path):

@@ -99,9 +99,13 @@ def frames_of(pictures: list[Path], lights: LightTable, folder: Path, table: Pat
         raise UserError(table, fault, f"add the missing pictures; {WAY}")
     if len(frames) == len(lights) and lights.index is None:
         return PassFrames(tuple(frames))
+    if lights.index is None and first is None:
+        fault = f"lists {len(lights)} lights, but {folder} has {len(frames)} pictures, and nothing says which are theirs"
+        remedy = f"move the others away, or name each light's picture in filenames.txt beside {table.name}"
+        raise UserError(table, fault, remedy)
     found = numbered(frames)
     index = np.arange(len(lights)) if lights.index is None else lights.index
-    offset = first if first is not None else frame_offset(index, sorted(found), folder, table)
+    offset = first if first is not None else frame_offset(index, sorted(found), folder, table, leading=0)
     missing = [int(k) + offset for k in index if int(k) + offset not in found]
     if missing:
         raise UserError(folder, f"lacks picture {missing[0]} of {len(lights)} lights", "copy the missing pictures")

@@ -63,10 +63,22 @@ def foreign_warnings(capture: Capture) -> list[str]:
     idle = sorted(p.name for p in maps if p.suffix.lower() in IMAGE_SUFFIXES - FLOAT_SUFFIXES and p.stem not in used)
     if idle:
         lines.append(f"{capture.root / 'envmaps'}: left out {some(idle)}: a map is linear: give it as .hdr or .exr")
+    if not capture.environments and capture.views and (beside := _maps_elsewhere(capture)):
+        lines.append(f"{beside[0].parent}: holds {some(p.name for p in beside)}: to relight with it, name the folder envmaps/")
     if resources:
         named = some(p.name for p in resources)
         lines.append(f"{resources[0].parent}: left out {named}: macOS resource files, no images; delete them (dot_clean)")
     return lines
+
+
+MAP_FOLDERS = frozenset({"env", "envs", "envmap", "env_maps", "environment", "environments", "hdri", "hdris", "hdr"})
+
+
+def _maps_elsewhere(capture: Capture) -> list[Path]:
+    """Maps in a folder whose name nearly says so, none of them a picture of a view."""
+    used = {path for view in capture.views for path in view.paths}
+    there = [q for p in _children(capture.root) if p.name.lower() in MAP_FOLDERS for q in sorted(_children(p))]
+    return [p for p in there if p.suffix.lower() in FLOAT_SUFFIXES and p not in used]
 
 
 def _children(folder: Path) -> list[Path]:

@@ -11,6 +11,7 @@ from pipeline.capture.model import Capture
 from pipeline.capture.naming.files import some
 from pipeline.capture.radiometry.exposure import known_seconds
 from pipeline.errors import UserError
+from pipeline.geometry.camera_check import SHORTEST_FOCAL
 
 SAME_ANGLE_DEG = 5.0
 """Between polarisers: less tells hardly any polarisation."""
@@ -33,6 +34,10 @@ def refuse_idle_tables(capture: Capture) -> None:
     pair = [name for name in config.poses.scale_pair or () if name not in views]
     if pair:
         raise UserError(config.path, f"poses.scale_pair: no view is called {some(map(repr, pair))}", _nearest(pair[0], views))
+    longest = max((max(v.size) for v in capture.views if v.size is not None), default=0)
+    if config.poses.focal_px is not None and config.poses.focal_px < SHORTEST_FOCAL * longest:
+        fault = f"poses.focal_px = {config.poses.focal_px:g} is no focal length of pictures of {longest} pixels"
+        raise UserError(config.path, fault, "give it in pixels: millimetres x pixels / millimetres of the sensor's width")
     if config.mosaic != MosaicConfig() and not _fact(capture, "polariser mosaic"):
         fault = f"[mosaic] is set, but the images were understood as {_kind(capture)}"
         raise UserError(config.path, fault, "give the sensor's single-channel files, or take the table out")

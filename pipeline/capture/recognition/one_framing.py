@@ -86,19 +86,16 @@ def one_framing(paths: Sequence[Path]) -> bool:
     return found is not None and found.is_one
 
 
-def stays_in_place(paths: Sequence[Path]) -> bool:
-    """Whether what changes between the pictures becomes brighter or darker and does not move; a turned polariser, an exposure
-    or the light. Files that cannot be read or hardly differ: no."""
-    return _what_changes(paths) == "gain"
+def moves(paths: Sequence[Path]) -> bool:
+    """Whether detail of the pictures is not found in its place in the others. Files that cannot be read, or show none: no."""
+    pictures = _some_small(paths)
+    still = None if pictures is None else still_detail(pictures)
+    return still is not None and still < STILL
 
 
-def few_of_one_framing(paths: Sequence[Path]) -> Literal["gain", "light"] | None:
-    """What changes between fewer pictures than three components explain, if they show one framing: the gain of each piece, as
-    of a polariser or an exposure; or the light. None where things move, and of files that cannot be read."""
-    return _what_changes(paths, light_too=True)
-
-
-def _what_changes(paths: Sequence[Path], light_too: bool = False) -> Literal["gain", "light"] | None:
+def what_changes(paths: Sequence[Path]) -> Literal["gain", "light"] | None:
+    """What changes between pictures, however few, if they show one framing: the gain of each piece, as of a polariser or an
+    exposure; or the light. None where things move or hardly differ, and of files that cannot be read."""
     pictures = _some_small(paths)
     if pictures is None:
         return None
@@ -109,7 +106,7 @@ def _what_changes(paths: Sequence[Path], light_too: bool = False) -> Literal["ga
         return None
     if _left_by_gain(pictures, mean, lit) <= LEFT:
         return "gain"
-    if not light_too or still_detail(pictures) < STILL:
+    if (still_detail(pictures) or 0) < STILL:
         return None
     equal = pictures / np.maximum(pictures[:, lit].mean(1), 1e-6)[:, None, None]
     deviation = equal.std(0) / np.maximum(equal.mean(0), 1e-6)
@@ -205,7 +202,7 @@ def _small_grey(path: Path) -> Plane:
     pixels, names, kind = _pixels(path)
     colours = without_alpha(names)[:3]
     step = max(1, max(pixels.shape[:2]) // (SIDE * OVERSAMPLED)) | 1  # odd: all polarisers of a mosaic have a part
-    grey = np.nan_to_num(pixels[::step, ::step, colours].mean(-1), posinf=0.0, neginf=0.0)
+    grey = np.nan_to_num(pixels[::step, ::step, colours].mean(-1, dtype=np.float64), posinf=0.0, neginf=0.0)
     grey = srgb_decode(np.clip(grey, 0, 1)) if kind == "uint8" else np.maximum(grey, 0)
     scale = SIDE / max(grey.shape)
     if scale < 1:

@@ -15,18 +15,20 @@ SHOWN = 0.05
 """Spread of the logarithm of a piece below which it has no detail."""
 FOUND, IN_PLACE_PX = 0.5, 1
 """Correlation with which a piece is found, and pixels by which it may be off."""
+FEWEST = 8
+"""Pieces that tell something."""
 FLOOR = 0.02
 """Of the bright light: what is darker is noise."""
 
 
-def still_detail(pictures: NDArray[np.float64]) -> float:
+def still_detail(pictures: NDArray[np.float64]) -> float | None:
     """Compute the share of the pieces with detail in two pictures that are found at their own place in the other.
 
     Args:
         pictures: linear, grey, of one size. [n, H, W]
 
     Returns:
-        The share over all pairs of pictures; 0 where no piece has detail.
+        The share over all pairs of pictures; None where hardly a piece has detail.
     """
     import cv2
 
@@ -47,4 +49,4 @@ def still_detail(pictures: NDArray[np.float64]) -> float:
             off = np.abs(np.unravel_index(int(likeness.argmax()), likeness.shape) - np.array(REACH)).max()
             pieces += 1
             found += bool(likeness.max() > FOUND and off <= IN_PLACE_PX)
-    return found / pieces if pieces else 0.0
+    return found / pieces if pieces >= FEWEST else None
