@@ -106,6 +106,10 @@ def calibration(root):
     (root / "calib.yml").write_text("camera_matrix: !!opencv-matrix\n")
 
 
+def arrays(root):
+    np.savez(root / "cameras.npz", **{f"camera_mat_{k}": c.camera_to_world for k, c in enumerate(CAMERAS)})
+
+
 def array(root):
     np.save(root / "poses.npy", np.stack([c.camera_to_world for c in CAMERAS]))
 
@@ -120,7 +124,8 @@ def array(root):
         (model_elsewhere, "model: a COLMAP model is not looked for here"),
         (half_model, "sparse/0: holds cameras.txt, points3D.txt and no whole model"),
         (calibration, "calib.yml: looks like the calibration of a lens"),
-        (array, "poses.npy: an array of a matrix for each picture"),
+        (array, "poses.npy: holds a matrix for each picture"),
+        (arrays, "cameras.npz: holds a matrix for each picture"),
     ],
 )
 def test_cameras_that_are_not_read_are_named(write, words, tmp_path):

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from pipeline.capture.naming.files import list_images, some, subfolders
 from pipeline.errors import UserError
-from pipeline.formats.arrays import array_shape
+from pipeline.formats.arrays import array_names, array_shape
 from pipeline.formats.colmap import FILES, holds_model
 
 TEXT = frozenset({".txt", ".json", ".jsonl", ".csv", ".tsv", ".xml", ".xmp", ".yaml", ".yml", ".cam", ".out", ".log", ".dat"})
@@ -19,6 +19,7 @@ A_POSE = 6
 """Numbers a picture, at least: a place and three angles. An exposure or a time is one."""
 NUMBER = re.compile(rb"[-+]?\d+\.\d+(?:[eE][-+]?\d+)?")
 """With a point: counts, times and names of files are none."""
+MATRICES = ((4, 4), (3, 4), (3, 5))
 SHARE = 0.5
 """Of the pictures, that are named or have a file each."""
 IF = "if these are cameras, convert them to transforms.json (docs/captures.md lists what is read)"
@@ -83,14 +84,16 @@ def _holds_pose(path: Path) -> bool:
 
 
 def _arrays(places: Sequence[Path], pictures: int) -> list[str]:
-    """NumPy arrays of a matrix a picture."""
-    for path in (p for place in places for p in sorted(place.glob("*.npy"))[:MOST_FILES] if not p.name.startswith(".")):
+    """NumPy files with a matrix a picture, as one array or one array each."""
+    for path in (p for place in places for p in sorted(place.glob("*.np[yz]"))[:MOST_FILES] if not p.name.startswith(".")):
         try:
-            shape = array_shape(path)
+            keys: list[str | None] = [*array_names(path)][: 2 * pictures + 2] if path.suffix == ".npz" else [None]
+            shapes = [array_shape(path, key) for key in keys]
         except UserError:
             continue
-        if len(shape) == 3 and shape[0] == pictures and shape[1:] in ((4, 4), (3, 4), (3, 5)):
-            return [f"{path}: an array of a matrix for each picture is not read; {IF}"]
+        each = sum(shape in MATRICES for shape in shapes)
+        if each >= pictures or any(shape[:1] == (pictures,) and shape[1:] in MATRICES for shape in shapes):
+            return [f"{path}: holds a matrix for each picture and is not read; {IF}"]
     return []
 
 
