@@ -85,6 +85,9 @@ def holds_model(folder: Path) -> bool:
 
     Args:
         folder: any.
+
+    Returns:
+        True where both files are there in one form.
     """
     return any(all((folder / f"{name}{suffix}").is_file() for name in FILES[:2]) for suffix in (".bin", ".txt"))
 
@@ -167,6 +170,9 @@ def forms_differ(folder: Path, model: ColmapModel) -> bool:
     Args:
         folder: the model's.
         model: as it was read.
+
+    Returns:
+        True where the two forms differ, or the text cannot be read.
     """
     text = model_files(folder, text=True)
     if model_files(folder) == text or {p.stem for p in text} < set(FILES[:2]):

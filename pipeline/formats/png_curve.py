@@ -20,7 +20,10 @@ def png_states_linear(path: Path) -> bool:
     are given.
 
     Args:
-        path: the file; others say nothing.
+        path: the file.
+
+    Returns:
+        True where it does; False of other files and of those that say nothing.
     """
     try:
         with path.open("rb") as stream:

@@ -183,6 +183,9 @@ def test_frames_without_mask_or_camera_beside_those_that_name_one_are_said(tmp_p
     table["frames"][0].update(mask_path="masks/000.png", camera="left")
     ball.save(tmp_path / "transforms.json", table)
     assert "no mask_path for 3 views (001, 002, 003)" in said(tmp_path) and "3 frames (images/001.png" in said(tmp_path)
+    table["frames"][0].pop("mask_path")
+    ball.save(tmp_path / "transforms.json", table)
+    assert "no mask_path" not in said(tmp_path) and "no mask for 3 views" in said(tmp_path)
 
 
 def test_a_mask_of_no_view_is_named(tmp_path):

@@ -90,20 +90,15 @@ def read(root: Path, config: CaptureConfig) -> Capture:
         warnings.append(f"{where}: no image for {count(missing, 'camera')} ({some(missing)}); left out: {CHECK}")
     if spare:
         warnings.append(f"{where}: no camera for {count(spare, 'image')} ({some(spare)}); left out: {CHECK}")
+    warnings += half_told(where, frames, [v.view for v in views if v.view not in masks] if masks else [])
     if not masks:
         masks, more = find_masks(root, {v.view: v.paths[0] for v in views}, folder)
         warnings += more
-    elif len(masks) < len(views):
-        without = [v.view for v in views if v.view not in masks]
-        warnings.append(f"{where}: no mask_path for {count(without, 'view')} ({some(without)}): these are segmented")
     for mask in masks.values():
         if not mask.is_file():
             raise UserError(mask, f"named in {where.name} but not there", "add it or remove its mask_path")
     check_masks(masks, lambda view: (cameras[view].width, cameras[view].height))
-    nameless = [frame.entry["file_path"] for frame in frames if "camera" not in frame.entry]
-    polarised = bool(config.polarisers) or len(nameless) < len(frames)
-    if 0 < len(nameless) < len(frames):
-        warnings.append(f"{where}: {count(nameless, 'frame')} ({some(nameless)}) name no camera, others do: {CHECK_CAMERA}")
+    polarised = bool(config.polarisers) or any("camera" in frame.entry for frame in frames)
     kind: Polarisation = "stokes" if sources.holds_stokes else "polarisers" if polarised else "none"
     plates, plate_files = find_plates(root, config, tuple(views))
     environments = find_environments(root)
@@ -118,6 +113,17 @@ def read(root: Path, config: CaptureConfig) -> Capture:
         polarisers=polariser_priors([v.camera for v in views], config) if kind == "polarisers" else {},
         files=(*files, *(p for v in views for p in v.paths), *masks.values(), *plate_files, *environments),
     )  # fmt: skip
+
+
+def half_told(where: Path, frames: list[NerfFrame], unmasked: list[str]) -> list[str]:
+    """Lines where some frames name a mask (`unmasked`: views of those that do not) or a camera, and others do not."""
+    lines = []
+    if unmasked:
+        lines.append(f"{where}: no mask_path for {count(unmasked, 'view')} ({some(unmasked)}): these are segmented")
+    nameless = [frame.entry["file_path"] for frame in frames if "camera" not in frame.entry]
+    if 0 < len(nameless) < len(frames):
+        lines.append(f"{where}: {count(nameless, 'frame')} ({some(nameless)}) name no camera, others do: {CHECK_CAMERA}")
+    return lines
 
 
 def _below(path: Path, root: Path) -> str:
