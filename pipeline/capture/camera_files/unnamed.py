@@ -87,8 +87,8 @@ def _arrays(places: Sequence[Path], pictures: int) -> list[str]:
     """NumPy files with a matrix a picture, as one array or one array each."""
     for path in (p for place in places for p in sorted(place.glob("*.np[yz]"))[:MOST_FILES] if not p.name.startswith(".")):
         try:
-            keys: list[str | None] = [*array_names(path)][: 2 * pictures + 2] if path.suffix == ".npz" else [None]
-            shapes = [array_shape(path, key) for key in keys]
+            names = array_names(path)[: 2 * pictures + 2] if path.suffix == ".npz" else []
+            shapes = [array_shape(path, name) for name in names] if path.suffix == ".npz" else [array_shape(path)]
         except UserError:
             continue
         each = sum(shape in MATRICES for shape in shapes)
