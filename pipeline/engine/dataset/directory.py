@@ -16,6 +16,7 @@ from pipeline.engine.dataset.in_use import LINK, InUse
 from pipeline.engine.dataset.leftovers import clear_leftovers
 from pipeline.engine.dataset.links import holds_what_no_run_leaves, refuse_links
 from pipeline.engine.dataset.locks import open_lock
+from pipeline.engine.dataset.presence import present
 from pipeline.engine.dataset.versions import KEY, Version, is_whole, read_version
 from pipeline.errors import UserError
 from pipeline.formats.dataset_files import MANIFEST
@@ -118,8 +119,9 @@ class Dataset:
         """Hold the dataset open for a run; `alone` asks to be the only one. Yields whether that was granted.
 
         Who is the first to come clears what killed runs left, and lets versions that were copied to STAGE/current be found.
+        Raises UserError where a run on another machine is at work whose locks do not reach here.
         """
-        with open_lock(self.root / ".work" / "in_use.lock") as lock:
+        with present(self.root), open_lock(self.root / ".work" / "in_use.lock") as lock:
             first = lock.try_to_take(alone=True)
             if first:
                 clear_leftovers(self.root, self.find)
