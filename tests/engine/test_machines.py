@@ -106,3 +106,16 @@ def test_a_record_that_is_a_link_or_a_pipe_is_not_followed(dataset, tmp_path, on
     with pytest.raises(UserError, match="is no plain file"), dataset.in_use():
         pass
     assert outside.read_text() == "keep"
+
+
+def test_the_number_of_a_run_goes_up_as_long_as_it_lives(dataset, on):
+    import time
+
+    on("one")
+    with dataset.in_use():
+        (record,) = records(dataset)
+        before, deadline = record.read_text(), time.monotonic() + 5
+        while record.read_text() == before and time.monotonic() < deadline:
+            time.sleep(0.01)
+        assert record.read_text() > before
+    assert not presence.BEATS._numbers

@@ -60,16 +60,13 @@ def present(root: Path, say: Callable[[str], None] = print) -> Iterator[None]:
     refuse_links(root, folder)
     folder.mkdir(exist_ok=True)
     with _record(folder) as lock:
-        ended = threading.Event()
-        beat = threading.Thread(target=_beat, args=(lock.handle, ended), daemon=True)
-        beat.start()
+        BEATS.add(lock.handle)
         try:
             # One's own is there already: of two that come at once, each sees the other.
             _refuse_unreached([path for path in folder.iterdir() if path != lock.path], root, say)
             yield
         finally:
-            ended.set()
-            beat.join()
+            BEATS.drop(lock.handle)
             with contextlib.suppress(OSError):
                 lock.path.unlink()
 
@@ -99,14 +96,46 @@ def _write(handle: int, number: int) -> None:
     os.pwrite(handle, f"{socket.gethostname()} {number:010}\n".encode(), 0)
 
 
-def _beat(handle: int, ended: threading.Event) -> None:
-    """Write a number that goes up, until the end."""
-    number = 0
-    while not ended.wait(BEAT_S):
-        number += 1
-        with contextlib.suppress(OSError):
-            _write(handle, number)
-            os.fsync(handle)  # a network file system keeps what is written for a while
+class _Beats:
+    """The numbers of all records of this process: a batch works on many datasets."""
+
+    def __init__(self) -> None:
+        self.forget()
+
+    def forget(self) -> None:
+        """Begin anew: a fork has neither the thread nor the records of the process that it was."""
+        self._lock, self._ended = threading.Lock(), threading.Event()
+        self._numbers: dict[int, int] = {}
+
+    def add(self, handle: int) -> None:
+        """Have this record's number go up from here on."""
+        with self._lock:
+            if not self._numbers:
+                self._ended = threading.Event()
+                threading.Thread(target=self._beat, args=(self._ended,), daemon=True).start()
+            self._numbers[handle] = 0
+
+    def drop(self, handle: int) -> None:
+        """Let it stand; from here on the handle may be closed."""
+        with self._lock:
+            self._numbers.pop(handle, None)
+            if not self._numbers:
+                self._ended.set()
+
+    def _beat(self, ended: threading.Event) -> None:
+        while not ended.wait(BEAT_S):
+            for handle in list(self._numbers):
+                with self._lock:
+                    if ended.is_set() or handle not in self._numbers:
+                        continue
+                    self._numbers[handle] += 1
+                    with contextlib.suppress(OSError):
+                        _write(handle, self._numbers[handle])
+                        os.fsync(handle)  # a network file system keeps what is written for a while
+
+
+BEATS = _Beats()
+os.register_at_fork(after_in_child=BEATS.forget)
 
 
 def _refuse_unreached(records: Iterable[Path], root: Path, say: Callable[[str], None]) -> None:
