@@ -212,6 +212,7 @@ def main() -> int:
             again = [sys.executable, str(HERE / "points.py"), *sys.argv[1:]]
             return subprocess.run(again, env=environment, cwd=ROOT).returncode
         sys.path.insert(0, str(HERE))
+        os.environ["XDG_CACHE_HOME"] = folder  # what such runs take says nothing of this machine
         from forks import forked
         from scenes import SCENES
 
