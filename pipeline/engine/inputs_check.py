@@ -85,11 +85,13 @@ def cause(error: Exception, dataset: Dataset, inputs: Mapping[str, Version]) -> 
 
 def _forged_input(versions: Iterable[Version], error: Exception) -> UserError | None:
     """The first file of what failed that no stage leaves, whatever its manifest says."""
-    from pipeline.formats.result_check import fault_of_result
+    from pipeline.formats.result_check import fault_of_result, sizes_of
 
-    for version in versions:
-        for path in (version.folder / o["path"] for o in version.manifest["outputs"]):
-            if fault := fault_of_result(path):
+    of_each = [(version, [version.folder / o["path"] for o in version.manifest["outputs"]]) for version in versions]
+    sizes = sizes_of(path for _, paths in of_each for path in paths)
+    for version, paths in of_each:
+        for path in paths:
+            if fault := fault_of_result(path, sizes):
                 return _forged(path, f"{fault} ({type(error).__name__})", version)
     return None
 

@@ -218,14 +218,25 @@ class Trained(Scene):
 
     name = "trained"
 
+    def write(self, folder: Path) -> None:
+        """The capture."""
+        write_views(folder, 8, 32)
+
     def __init__(self, folder: Path) -> None:
         from forks import forked
 
         from stages.__main__ import PROGRAM
 
-        assert forked(lambda: write_views(folder, 8, 32) or 0) == 0
+        assert forked(lambda: self.write(folder) or 0) == 0
         super().__init__(folder, {}, "metrics")
         self.program = PROGRAM
 
 
-SCENES = {scene.name: scene for scene in (Stub, Real, LightStage, Colmap, Trained, Careless)}
+class Fitted(Trained):
+    """A light stage's."""
+
+    name = "fitted"
+    write = LightStage.write
+
+
+SCENES = {scene.name: scene for scene in (Stub, Real, LightStage, Colmap, Trained, Fitted, Careless)}

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import io
 import json
 import re
 import struct
+import zipfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -49,6 +51,20 @@ def result_cases() -> Iterator[Case]:
         yield f"train/train_log.csv {label}", _forged("train/train_log.csv", change)
         yield f"mesh/asset/*.glb {label}", _forged("mesh/asset/*.glb", change)
         yield f"poses/sparse/images.txt {label}", _forged("poses/sparse/images.txt", change)
+
+
+def rig_cases() -> Iterator[Case]:
+    """The same of a light stage's results."""
+    for place in ("olat/cam00/normal.exr", "olat/cam00/sigma.exr", "olat/cam00/residual.exr", "relight/*/cam00_olat.exr"):
+        for label, change in _exrs():
+            yield f"{place} {label}", _forged(place, change)
+    for place in ("decode/olat.json", "olat/maps.json", "masks/masks.json"):
+        for label, change in _tables():
+            yield f"{place} {label}", _forged(place, change)
+    for label, change in _pngs():
+        yield f"masks/cam00.png {label}", _forged("masks/cam00.png", change)
+    for label, change in _archives():
+        yield f"olat/cam00/samples.npz {label}", _forged("olat/cam00/samples.npz", change)
 
 
 def _forged(place: str, change: Change) -> Damage:
@@ -173,6 +189,40 @@ def _faces() -> Iterator[tuple[str, Change]]:
         yield f"of a face {corners}", lambda b, c=corners: faced(b, c)
     yield "of a face of 255 corners", lambda b: faced(b, (0, 1, 2), 255)
     yield "without faces", lambda b: _header(b, rb"element face \d+", b"element face 0")
+
+
+def _archives() -> Iterator[tuple[str, Change]]:
+    from captures import _npy, _Payload
+
+    def archive(arrays: dict[str, Any], raw: bytes | None = None) -> bytes:
+        content = io.BytesIO()
+        if raw is None:
+            np.savez(content, **arrays)
+        else:
+            with zipfile.ZipFile(content, "w", zipfile.ZIP_DEFLATED) as made:
+                for name in arrays:
+                    made.writestr(f"{name}.npy", raw)
+        return content.getvalue()
+
+    def with_arrays(content: bytes, change: Callable[[dict[str, np.ndarray]], object]) -> bytes:
+        arrays = dict(np.load(io.BytesIO(content)))
+        change(arrays)
+        return archive(arrays)
+
+    names = ("pixels", "lights", "cross", "parallel")
+    yield "of pickles", lambda b: archive({n: np.array([_Payload()], dtype=object) for n in names})
+    yield "of a pickle among arrays", lambda b: with_arrays(b, lambda a: a.update(pixels=np.array([_Payload()], dtype=object)))
+    for shape in ((10**6, 10**6), (2**62, 4), (-1, 3)):
+        yield f"of arrays of {shape}", lambda b, s=shape: archive(dict.fromkeys(names), _npy(s) + b"\0" * 4096)
+    yield "of a gigabyte of zeros", lambda b: archive({"pixels": 0}, _npy((1 << 27,)) + bytes(1 << 30))
+    for place in (-1, 10**9):
+        yield f"of pixel {place}", lambda b, p=place: with_arrays(b, lambda a: a.update(pixels=np.full_like(a["pixels"], p)))
+        yield f"of light {place}", lambda b, p=place: with_arrays(b, lambda a: a.update(lights=np.full_like(a["lights"], p)))
+    yield "of other lengths", lambda b: with_arrays(b, lambda a: a.update(cross=a["cross"][:1]))
+    yield "of other axes", lambda b: with_arrays(b, lambda a: a.update(sigma=a["sigma"][0]))
+    yield "of numbers that are none", lambda b: with_arrays(b, lambda a: a.update(cross=np.full_like(a["cross"], np.nan)))
+    yield "that is empty", lambda b: b""
+    yield "cut off", lambda b: b[: len(b) // 2]
 
 
 def _tables() -> Iterator[tuple[str, Change]]:

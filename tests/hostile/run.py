@@ -1,6 +1,6 @@
 """Hostile captures and datasets, each through the program: nothing executed, nothing outside touched, little memory, one line.
 
-    python tests/hostile/run.py [--every N] [--kinds capture,dataset,result] [--only WORDS] [--jobs 2]
+    python tests/hostile/run.py [--every N] [--kinds capture,dataset,result,rig] [--only WORDS] [--jobs 2]
 
 Runs are forks of one process that has loaded what they load, as the crash points' are: the exact stages (decode, poses, masks)
 for captures and datasets, every stage of a tiny training for results. Each must end with status 0, or with 2 and one line of
@@ -39,7 +39,7 @@ TINY = (
 ON_RESULTS = {
     "mesh": "mesh --decimate 0.4", "relight": "relight --cube 32", "metrics": "metrics --shown-views 2", "compare": "compare",
     "report": "report", "splat": "export --to splat", "nerfstudio": "export --to nerfstudio", "colmap": "export --to colmap",
-    "glb": "export --to glb", "verify": "verify",
+    "glb": "export --to glb", "maps": "export --to maps", "verify": "verify",
 }  # fmt: skip
 READERS = {
     "train/env": "metrics", "train/gbuffer": "mesh relight metrics", "train/test": "metrics compare",
@@ -48,7 +48,8 @@ READERS = {
     "mesh/mesh": "relight metrics", "poses/sparse": "colmap",
     "decode/frames.json": "mesh relight metrics compare nerfstudio", "masks/masks": "mesh relight metrics",
     "poses/cameras": "mesh relight metrics compare nerfstudio colmap", "train/lighting": "mesh relight metrics splat",
-    "train/train_log": "metrics", "metrics/metrics": "compare report",
+    "train/train_log": "metrics", "metrics/metrics": "compare report", "olat/": "relight metrics maps",
+    "decode/olat": "relight metrics maps compare", "masks/cam": "relight metrics",
 }  # fmt: skip
 """Beginnings of the files that are forged, and the commands that read them; `verify` reads all."""
 
@@ -141,18 +142,21 @@ class Place:
 class Trained(Place):
     """The same with a dataset of every stage, whose results are read by commands that make others of them."""
 
+    scene_name = "trained"
+    left_out = ("maps",)
+
     def __init__(self, base: Path) -> None:
         from forks import load_what_it_loads
         from scenes import SCENES
 
         base.mkdir()
         self.base, self.whole = base, base / "whole"
-        self.scene = SCENES["trained"](base / "sound")
+        self.scene = SCENES[self.scene_name](base / "sound")
         capture = self.scene.capture
         log = base / "made"
         load_what_it_loads(lambda: self._run(f"all --params={TINY}", capture, self.whole), log)
         spare = base / "spare"
-        for command in ON_RESULTS.values():
+        for command in (line for name, line in ON_RESULTS.items() if name not in self.left_out):
             shutil.copytree(self.whole, spare / "dataset", symlinks=True)
             load_what_it_loads(lambda: self._run(command, capture, spare / "dataset"), log)  # noqa: B023
             shutil.rmtree(spare)
@@ -160,7 +164,7 @@ class Trained(Place):
     def commands(self, kind: str, case: str) -> Iterable[str]:
         """Those that read the file, and `verify`."""
         names = next(names for start, names in READERS.items() if case.startswith(start))
-        return [ON_RESULTS[name] for name in (*names.split(), "verify")]
+        return [ON_RESULTS[name] for name in (*names.split(), "verify") if name not in self.left_out]
 
     def undo(self, work: Path, damage: Callable[[Path], object]) -> None:
         """Each command finds the forged dataset, none what the one before has made."""
@@ -181,6 +185,13 @@ class Trained(Place):
         about = {"compare": [str(dataset), str(dataset), "--out", out], "export": ["--dataset", str(dataset), "--out", out]}
         usual = [str(capture), "--dataset", str(dataset)]
         return cli.main(PROGRAM, [name, *about.get(name, usual), *more])
+
+
+class Fitted(Trained):
+    """The same with a light stage's."""
+
+    scene_name = "fitted"
+    left_out = ("mesh", "splat", "nerfstudio", "colmap", "glb")
 
 
 def _waited(pid: int) -> tuple[int, int]:
@@ -233,11 +244,11 @@ def main() -> int:
     from captures import capture_cases
     from datasets import dataset_cases
     from forks import forked
-    from results import result_cases
+    from results import result_cases, rig_cases
 
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--every", type=int, default=1, help="try each n-th case alone")
-    parser.add_argument("--kinds", default="capture,dataset,result", help="what to damage")
+    parser.add_argument("--kinds", default="capture,dataset,result,rig", help="what to damage")
     parser.add_argument("--only", default="", help="cases whose name has this")
     parser.add_argument("--jobs", type=int, default=1, help="cases side by side")
     options = parser.parse_args()
@@ -248,6 +259,7 @@ def main() -> int:
         places: list[tuple[str, type[Place], dict[str, Callable]]] = [
             ("exact", Place, {"capture": capture_cases, "dataset": dataset_cases}),
             ("trained", Trained, {"result": result_cases}),
+            ("fitted", Fitted, {"rig": rig_cases}),
         ]  # fmt: skip
         for name, place, kinds in places:
             kinds = {kind: of for kind, of in kinds.items() if kind in options.kinds.split(",")}

@@ -96,7 +96,10 @@ class Dataset:
         """Make the directory, or say in one line why that cannot be."""
         probe = self.root / ".work" / f"probe-{os.getpid()}"
         try:
+            new = [p for p in (probe.parent, *probe.parent.parents) if not p.exists()]
             probe.parent.mkdir(parents=True, exist_ok=True)
+            for folder in new:  # what is published must not lose its way from the root of the disk
+                sync(folder.parent)
             refuse_links(self.root, probe.parent)
             write_whole(probe, "\0" * 4096)
             probe.unlink(missing_ok=True)
