@@ -28,6 +28,7 @@ from pipeline.engine.program import Program
 from pipeline.engine.settings import remember
 from pipeline.engine.verify import verify
 from pipeline.errors import UserError, line_of
+from pipeline.formats.dataset_files import MANIFEST
 
 JOB_WORDS = 4  # `job PLAN ROW STAGE`: what a cluster runs of a batch's plan
 
@@ -73,7 +74,8 @@ def _run(program: Program, arguments: Sequence[str]) -> int:
         compared = [Path(p) for p in options.datasets]
         with contextlib.ExitStack() as stack:
             for path in compared:
-                stack.enter_context(explained(Dataset(path), stages))
+                version = (path / MANIFEST).is_file()
+                stack.enter_context(explained(Dataset.holding(path) if version else Dataset(path), stages))
             print(f"comparison: {program.compare(compared, Path(options.out))}")
         return 0
     if options.command == "export" and program.export is not None:

@@ -106,6 +106,9 @@ def explained(dataset: Dataset, stages: Iterable[str]) -> Iterator[None]:
     try:
         yield
     except Exception as error:
+        file = error.file if isinstance(error, UserError) else error.filename if isinstance(error, OSError) else None
+        if not dataset.exists or (file is not None and not _below(str(file), dataset.root)):
+            raise
         versions, damaged = versions_in_use(dataset, stages)
         if damaged:
             raise UserError(damaged[0].file, f"{damaged[0].fault}: it is damaged", verify_remedy(dataset)) from error
