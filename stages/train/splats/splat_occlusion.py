@@ -13,7 +13,7 @@ import torch
 from scipy.spatial import cKDTree
 
 from pipeline.geometry.normals import vertex_normals
-from pipeline.geometry.rays import RayMesh
+from pipeline.geometry.rays import RayHits, RayMesh
 from pipeline.optics.sphere import cosine_directions
 from pipeline.shading import LightField, Occlusion, shade
 
@@ -52,13 +52,19 @@ class CarriedHull:
 
         A first hit from behind means that the ray began just under the surface: it counts as free.
         """
-        found = self.rays.cast(origins, directions)
-        rows = np.flatnonzero(found.hit)  # few, so all that follows is of these alone
-        rows = rows[np.einsum("mk,mk->m", found.normal[rows], directions[rows]) < 0]
+        rays = np.concatenate((origins, directions), axis=1, dtype=np.float32)
+        rows = np.flatnonzero(self.rays.blocked_packed(rays))  # few, so that where they end is asked of these alone
+        outer, found = self.met(rays[rows])
         hit, splat = np.zeros(len(directions), bool), np.full(len(directions), -1, np.int64)
-        hit[rows] = True
-        splat[rows] = self.splat_of_vertex[self.triangles[found.triangle[rows], found.of(rows).corner]]
+        hit[rows[outer]] = True
+        splat[rows[outer]] = self.splat_of_vertex[self.triangles[found.triangle, found.corner]]
         return hit, splat
+
+    def met(self, rays: np.ndarray) -> tuple[np.ndarray, RayHits]:
+        """Which of rays [M, 6] (origins, then directions) hit an outer side [K], and where these do."""
+        found = self.rays.cast_packed(rays)
+        outer = np.flatnonzero(found.hit & (np.einsum("mk,mk->m", found.normal, rays[:, 3:]) < 0))
+        return outer, found.of(outer)
 
 
 def carried_hull(hull: HullMesh, model: SplatModel) -> CarriedHull:
