@@ -34,6 +34,7 @@ NEAREST = 4
 """Neighbours of the kNN albedo: PhyGaP names no number; a surface point has about this many splats or vertices around it."""
 # Weights' floor over the box's squared diagonal: it only meets a point that sits on an anchor.
 FLOOR = 1e-6
+ROWS = 512  # of the anchors' tables that are laid side by side at a time
 TILT = 0.05  # of a normal, by which the irradiance's slope is taken: half a texel of the diffuse level
 
 
@@ -102,11 +103,14 @@ class GridMap:
         self.albedo = torch.as_tensor(np.asarray(albedo), dtype=torch.float32)
         self.anchors = box_anchors(occluder.vertices, up) if anchors == "box" else surface_anchors(occluder)
         self._prefilter = Prefilter(resolution, lobe)
-        directions = cube_directions(resolution).reshape(-1, 3).astype(np.float32)
-        origins = np.repeat(self.anchors.astype(np.float32), len(directions), axis=0)
-        hits = occluder.cast(origins, np.tile(directions, (len(self.anchors), 1)))
-        self._hit = torch.as_tensor(np.flatnonzero(hits.blocked))
-        self._corners, self._share = torch.as_tensor(hits.vertices[hits.blocked]), torch.as_tensor(hits.weights[hits.blocked])
+        rays = np.empty((6 * resolution**2, 6), np.float32)
+        rays[:, 3:] = cube_directions(resolution).reshape(-1, 3)
+        found = []
+        for a, place in enumerate(self.anchors):
+            rays[:, :3] = place
+            rows, vertices, weights = occluder.met(rays)
+            found.append((rows + a * len(rays), vertices, weights))
+        self._hit, self._corners, self._share = (torch.as_tensor(np.concatenate(part)) for part in zip(*found))
 
     @cached_property
     def _normals(self) -> torch.Tensor:
@@ -127,10 +131,12 @@ class GridMap:
             seen = far.repeat(count, 1)
             seen[self._hit] = (leaving[self._corners] * self._share[..., None]).sum(1)
             fields = [self._prefilter.apply(cube) for cube in seen.reshape(count, 6, self.resolution, self.resolution, 3)]
-            tables = np.zeros((*fields[0].packed.shape, self._places.shape[1]), np.float32)
-            for a, local in enumerate(fields):
-                tables[:, :, a] = local.packed.numpy()
-            return LocalLight(tables, fields[0])
+            packed = torch.stack([f.packed for f in fields])
+            tables = torch.zeros(*packed.shape[1:], self._places.shape[1])
+            for first in range(0, len(tables), ROWS):  # within a core's cache, as it is turned
+                rows = slice(first, first + ROWS)
+                tables[rows, :, :count] = packed[:, rows].permute(1, 2, 0)
+            return LocalLight(tables.numpy(), fields[0])
 
     def _far(self, radiance: torch.Tensor) -> torch.Tensor:
         """The environment in an anchor's texels [6 D^2, 3]: means of its own, or between them where they are larger."""

@@ -19,7 +19,7 @@ from stages.train.indirect.mirrored_rays import MirroredRays, Shown
 from stages.train.indirect.pixel_light import GridLight
 from stages.train.parameters import TrainParameters
 from stages.train.setup import prepare_training
-from stages.train.splats.splat_occlusion import CarriedHull
+from stages.train.splats.carried_hull import CarriedHull
 from stages.train.trainer import Trainer
 from stages.train.views.source_views import SourceView
 from synth.shape import vase
@@ -114,13 +114,14 @@ def test_rays_left_out_because_their_surroundings_see_nothing_would_have_met_nex
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     directions *= np.sign((directions * normals).sum(1, keepdims=True))
     found = mirrors.blocked(Shown(np.arange(count), points, normals, directions, directions))
-    truth, _ = hull.cast(points + mirrors.lift * normals, directions)
+    truth = np.zeros(count, bool)
+    truth[hull.cast(np.concatenate((points + mirrors.lift * normals, directions), 1))[0]] = True
     assert 0.1 < truth.mean() < 0.4 and not (found & ~truth).any()
     assert found.sum() >= 0.98 * truth.sum()
-    cells = mirrors.cells.copy()
-    mirrors.cells[:] = 0  # nothing seen anywhere: no ray is cast
+    cells = mirrors.seen.cells.copy()
+    mirrors.seen.cells[:] = 0  # nothing seen anywhere: no ray is cast
     assert not mirrors.blocked(Shown(np.arange(count), points, normals, directions, directions)).any()
-    mirrors.cells[:] = ~cells  # where nothing was seen alone
+    mirrors.seen.cells[:] = ~cells  # where nothing was seen alone
     assert mirrors.blocked(Shown(np.arange(count), points, normals, directions, directions)).sum() == (truth & ~found).sum()
 
 

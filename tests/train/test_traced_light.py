@@ -15,8 +15,10 @@ from pipeline.shading import Occlusion, Prefilter
 from stages.train.indirect.pixel_light import LearntLight
 from stages.train.indirect.trust import DISTRUST, trusted
 from stages.train.parameters import TrainParameters
+from stages.train.splats.blocked_directions import BlockedDirections
+from stages.train.splats.carried_hull import CarriedHull
 from stages.train.splats.gaussians import Splats, normal_quaternions
-from stages.train.splats.splat_occlusion import CarriedHull, SplatOcclusion, outgoing, trace_splats
+from stages.train.splats.splat_occlusion import SplatOcclusion, outgoing, trace_splats
 from stages.train.splats.surface_graph import build_graph
 from stages.train.upkeep import CYCLE, Upkeep
 from stages.train.views.training_frame import SceneFrame
@@ -59,7 +61,7 @@ def bounced_deep_inside(light, bounces: int) -> float:
 
 def test_a_wall_in_shadow_sends_less_than_under_the_whole_sky(white_sky):
     _, splats = trench()
-    whole = SplatOcclusion(torch.ones(450, 3), torch.zeros(450, 3), 0.0)
+    whole = SplatOcclusion(torch.ones(450, 3), torch.zeros(450, 3), 0.0, BlockedDirections(splats.means.numpy(), 0.1))
     towards = np.array([[0.0, 0.0, -1.0]], np.float32)
     open_wall = float(outgoing(splats, np.array([112]), towards, white_sky, "exact", whole).mean()) * np.pi
     once, twice, thrice = (bounced_deep_inside(white_sky, n) for n in (1, 2, 3))
@@ -69,8 +71,8 @@ def test_a_wall_in_shadow_sends_less_than_under_the_whole_sky(white_sky):
 
 def test_a_wall_without_sky_sends_on_what_reaches_it_from_the_object(white_sky):
     _, splats = trench()
-    dark = SplatOcclusion(torch.zeros(450, 3), torch.full((450, 3), np.pi), 1.0)
-    whole = SplatOcclusion(torch.ones(450, 3), torch.zeros(450, 3), 0.0)
+    dark = SplatOcclusion(torch.zeros(450, 3), torch.full((450, 3), np.pi), 1.0, BlockedDirections(splats.means.numpy(), 0.1))
+    whole = SplatOcclusion(torch.ones(450, 3), torch.zeros(450, 3), 0.0, BlockedDirections(splats.means.numpy(), 0.1))
     towards = np.array([[0.0, 0.6, -0.8]], np.float32)
     sent = [float(outgoing(splats, np.array([3]), towards, white_sky, "exact", r).mean()) for r in (dark, whole)]
     assert sent[0] == pytest.approx(sent[1], rel=0.12)  # as bright all around as the sky, which is transmitted at 0.91

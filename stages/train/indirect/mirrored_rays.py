@@ -11,15 +11,15 @@ from pipeline.optics.sphere import hemisphere_rule
 
 from ..pixel_attributes import LEAST_ALPHA
 from ..render_view import GBuffer
+from ..splats.blocked_directions import BlockedDirections
+from ..splats.carried_hull import CarriedHull
 from ..splats.ray_kernels import turned_directions
-from ..splats.splat_occlusion import CarriedHull
 from ..views.view import View
-from .mirror_kernels import doubtful, mark, shown
+from .mirror_kernels import shown
 
 RINGS, AZIMUTHS = 4, 8  # rays of a sample
 MOST_SAMPLES = 16384  # vertices that cast them: half a million rays, a tenth of a second
-SPACINGS = 2.0  # between samples, a cell's width: of rays that are blocked 1.7 % are left out on a teapot, 0.3 % on Spot
-MOST_CELLS = 48  # along the longest side
+CELL = 2.0  # spacings of the samples: with 3 some 0.5 % of a teapot's blocked rays are left out, and a quarter more are cast
 
 
 @dataclass(frozen=True)
@@ -52,8 +52,7 @@ def shown_surface(view: View, gbuffer: GBuffer) -> Shown:
 
 class MirroredRays:
     """Rays that a view's pixels mirror, cast at the hull. Those are left out that nothing lies in the way of, as far as a few
-    thousand samples of the surface tell: each cell of a grid remembers in which directions its own and its neighbours' rays
-    met the hull.
+    thousand samples of the surface tell (`BlockedDirections`): 1.7 % of those that are blocked on a teapot, 0.3 % on Spot.
 
     Args:
         hull: what they are cast at.
@@ -67,39 +66,22 @@ class MirroredRays:
         count = len(hull.vertices)
         chosen = rng.choice(count, min(MOST_SAMPLES, count), replace=False)
         points, normals = (np.ascontiguousarray(a[chosen], np.float32) for a in (hull.vertices, hull.normals))
+        points += self.lift * normals
         turn = 2 * np.pi * rng.random(len(points)).astype(np.float32)
         directions = np.empty((len(points), RINGS * AZIMUTHS, 3), np.float32)
         turned_directions(hemisphere_rule(RINGS, AZIMUTHS)[0].astype(np.float32), normals, turn, directions)
-        met = hull.rays.blocked((points + self.lift * normals)[:, None], directions)
         a, b, c = (hull.vertices[hull.triangles[:, k]] for k in range(3))
         area = np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2
-        self.low, high = points.min(0), points.max(0)
-        width = max(SPACINGS * np.sqrt(area / len(points)), float((high - self.low).max()) / MOST_CELLS, 1e-9)
-        self.scale = np.float32(1 / width)
-        shape = (np.floor((high - self.low) / width).astype(int) + 1).clip(1, MOST_CELLS + 1)
-        cells = np.zeros(tuple(shape), np.uint64)
-        mark(points, directions, met, self.low, self.scale, cells)
-        self.cells = with_neighbours(cells)
+        self.seen = BlockedDirections(points, CELL * float(np.sqrt(area / len(points))))
+        self.seen.note(points, directions, hull.rays.blocked(points[:, None], directions))
+        self.seen.settle()
 
     def blocked(self, at: Shown) -> np.ndarray:
         """Whether each pixel's mirror ray meets the object [K]: "invisible", as Ref-Gaussian and PhyGaP call it."""
-        count = len(at.points)
-        rows, rays = np.empty(count, np.int64), np.empty((count, 6), np.float32)
-        found = doubtful(at.points, at.normals, at.mirrored, self.lift, self.low, self.scale, self.cells, rows, rays)
-        met = np.zeros(count, bool)
-        met[rows[self.hull.met(rays[:found])[0]]] = True
+        rows, rays = self.seen.doubtful(at.points + self.lift * at.normals, at.mirrored[:, None])
+        met = np.zeros(len(at.points), bool)
+        met[rows[self.hull.met(rays)[0]]] = True
         return met
-
-
-def with_neighbours(cells: np.ndarray) -> np.ndarray:
-    """Bits of cells [X, Y, Z] with those of the 26 around each."""
-    out = cells
-    for axis in range(3):
-        before, out = np.moveaxis(out, axis, 0), out.copy()
-        after = np.moveaxis(out, axis, 0)
-        after[1:] |= before[:-1]
-        after[:-1] |= before[1:]
-    return out
 
 
 def everywhere(values: np.ndarray, rows: np.ndarray, like: torch.Tensor) -> torch.Tensor:
