@@ -18,11 +18,12 @@ from stages.train.parameters import TrainParameters
 from stages.train.splats.blocked_directions import BlockedDirections
 from stages.train.splats.carried_hull import CarriedHull
 from stages.train.splats.gaussians import Splats, normal_quaternions
-from stages.train.splats.splat_occlusion import SplatOcclusion, outgoing, trace_splats
+from stages.train.splats.splat_occlusion import DIFFUSE_RAYS, SplatOcclusion, outgoing, trace_splats
 from stages.train.splats.surface_graph import build_graph
 from stages.train.upkeep import CYCLE, Upkeep
 from stages.train.views.training_frame import SceneFrame
 from stages.train.views.view import prepare
+from synth.shape import vase
 
 ALBEDO, GAP = 0.8, 0.4
 
@@ -42,6 +43,21 @@ def trench() -> tuple[CarriedHull, Splats]:
     splats = Splats(
         means, facing, normal_quaternions(facing), torch.full((450, 2), 0.07), torch.ones(450),
         torch.full((450, 3), ALBEDO), torch.full((450,), 0.5), torch.full((450,), 1.5),
+    )  # fmt: skip
+    return hull, splats
+
+
+def on_vase() -> tuple[CarriedHull, Splats]:
+    """A vase with a bowl and a waist as hull, and a splat at each of its vertices."""
+    shape = vase(96, 72)
+    count = len(shape.vertices)
+    hull = CarriedHull(
+        RayMesh(shape.vertices, shape.faces), shape.vertices, shape.faces, shape.normals, np.arange(count)
+    )  # fmt: skip
+    means, facing = (torch.as_tensor(np.asarray(a), dtype=torch.float32) for a in (shape.vertices, shape.normals))
+    splats = Splats(
+        means, facing, normal_quaternions(facing), torch.full((count, 2), 0.03), torch.ones(count),
+        torch.full((count, 3), ALBEDO), torch.full((count,), 0.5), torch.full((count,), 1.5),
     )  # fmt: skip
     return hull, splats
 
@@ -67,6 +83,24 @@ def test_a_wall_in_shadow_sends_less_than_under_the_whole_sky(white_sky):
     once, twice, thrice = (bounced_deep_inside(white_sky, n) for n in (1, 2, 3))
     assert twice < thrice < 0.8 * open_wall
     assert once > thrice  # one bounce takes the other wall to lie under the whole sky
+
+
+def test_rays_that_need_no_casting_are_those_that_meet_nothing(white_sky, monkeypatch):
+    hull, splats = on_vase()
+    graph, cast = build_graph(splats.means, splats.normals), []
+    packed = RayMesh.blocked_packed
+
+    def traced():
+        cast.clear()
+        return trace_splats(hull, splats, white_sky, graph, 0, "exact")
+
+    monkeypatch.setattr(RayMesh, "blocked_packed", lambda self, rays: cast.append(len(rays)) or packed(self, rays))
+    some, few = traced(), sum(cast)
+    monkeypatch.setattr(BlockedDirections, "settle", lambda self: setattr(self, "cells", ~np.zeros_like(self.cells)))
+    every, all_ = traced(), sum(cast)
+    assert all_ == len(splats.means) * DIFFUSE_RAYS and few < 0.7 * all_
+    assert every.blocked * 0.98 < some.blocked <= every.blocked
+    assert float((some.shadow - every.shadow).abs().mean()) < 0.01
 
 
 def test_a_wall_without_sky_sends_on_what_reaches_it_from_the_object(white_sky):
