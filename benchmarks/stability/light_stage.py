@@ -141,7 +141,7 @@ def _row(setting: Setting, seed: int) -> Row:
         "rho_s": np.abs(rows[:, AT["specular_albedo"]][:, 0] / made.specular - 1),
     }  # fmt: skip
     wrong = good & is_wrong(off)
-    found_anisotropic = good & (rows[:, AT["anisotropy"]] > ANISOTROPIC)
+    found_anisotropic = good & (rows[:, AT["anisotropy"]].max(1) > ANISOTROPIC)
     is_round = "sigma" in setting.options and setting.options["sigma"][0] == setting.options["sigma"][1]
     faulty = faults(good, wrong, rows[:, AT["specular_albedo"]], found_anisotropic & is_round, bool(np.isfinite(rows).all()))
     flags = np.bincount(rows[:, FLAG].astype(int), minlength=len(FLAGS))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pipeline.report.explained import doubts, explained
+from pipeline.report.explained import Explained, doubts, explained
 
 RNG = np.random.default_rng(0)
 COUNT = 4000
@@ -50,6 +50,25 @@ def test_radiance_far_off_is_reported():
     target = picture()
     (line,) = lines_of(target * np.exp(1.3 * RNG.normal(size=(COUNT, 1))) * (0.2 + target), target)
     assert "by a factor of" in line or "does not explain" in line
+
+
+@pytest.mark.parametrize(
+    ("likeness", "off", "said"),
+    [
+        (0.499, 0.20, "does not explain"),  # a glass ball
+        (0.501, 0.20, "does not explain"),
+        (0.63, 0.29, "does not explain"),  # metal
+        (0.63, 0.21, "does not explain"),
+        (0.80, 0.29, "by a factor of"),  # a naked sun
+        (0.75, 0.26, None),  # a sound capture after 60 steps
+        (0.74, 0.13, None),  # an underside that no view sees
+        (0.37, 0.09, None),
+        (None, 0.20, None),
+    ],
+)
+def test_the_less_alike_the_smaller_a_difference_is_borne(likeness, off, said):
+    lines = doubts({"000": Explained(likeness, off, None)})
+    assert lines == [] if said is None else said in lines[0]
 
 
 def polarised(sign: float) -> tuple[np.ndarray, np.ndarray]:
