@@ -108,8 +108,8 @@ class GridMap:
         found = []
         for a, place in enumerate(self.anchors):
             rays[:, :3] = place
-            rows, vertices, weights = occluder.met(rays)
-            found.append((rows + a * len(rays), vertices, weights))
+            rows, vertices, shares = occluder.met(rays)
+            found.append((rows + a * len(rays), vertices, shares))
         self._hit, self._corners, self._share = (torch.as_tensor(np.concatenate(part)) for part in zip(*found))
 
     @cached_property
