@@ -70,9 +70,7 @@ def outline_doubt(cameras: Mapping[str, Camera], masks: Mapping[str, NDArray[np.
     return _single_views(views, listed, outlines)
 
 
-def _two_objects(
-    views: Sequence[str], cameras: Sequence[Camera], outlines: NDArray[np.float64]
-) -> tuple[str | None, float]:
+def _two_objects(views: Sequence[str], cameras: Sequence[Camera], outlines: NDArray[np.float64]) -> tuple[str | None, float]:
     """Whether the views are of two objects (or of two places of one), in words, and the misfit within each."""
     pairs, errors = tangent_errors(cameras, outlines)
     if not len(pairs):

@@ -33,9 +33,7 @@ def codes_of(files: Sequence[Exposure]) -> list[NDArray[np.uint16]]:
     return [] if own is not None else [codes(e) for e in some_of(list(dict.fromkeys(files)), size)]
 
 
-def white_level(
-    files: Sequence[Exposure], samples: Sequence[NDArray[np.uint16]]
-) -> tuple[float | None, list[str], list[str]]:
+def white_level(files: Sequence[Exposure], samples: Sequence[NDArray[np.uint16]]) -> tuple[float | None, list[str], list[str]]:
     """The code that full samples have in 16-bit `files`, where fewer bits are in use (else None), with warnings and facts."""
     first = open_image(files[0].path, files[0].page)
     own = getattr(first, "white_level", None)

@@ -21,9 +21,7 @@ MAPS, MASKS = "ground truth and maps", "masks"
 PRODUCTS = "polarisation products (DoLP, AoLP, Stokes or unpolarised pictures)"
 KINDS: Mapping[str, str] = {
     "previews and thumbnails": "preview previews thumb thumbs thumbnail thumbnails proxy proxies contactsheet screenshot eadir",
-    PRODUCTS: (
-        "dolp aolp dop aop docp stokes s0 s1 s2 unpol unpolarised unpolarized nopol nopolariser nopolarizer"
-    ),
+    PRODUCTS: ("dolp aolp dop aop docp stokes s0 s1 s2 unpol unpolarised unpolarized nopol nopolariser nopolarizer"),
     "calibration pictures": (
         "checkerboard checkerboards chessboard chessboards checker charuco calib calibration calibrations colorchecker "
         "colourchecker macbeth greycard graycard"
