@@ -78,7 +78,7 @@ MOVED = np.eye(4)
 MOVED[:3] = [[0.36, 0.48, -0.8, 0.1], [-0.8, 0.6, 0, 0.15], [0.48, 0.64, 0.6, -0.1]]
 
 
-@pytest.mark.parametrize("second", [range(1, 12, 2), range(6, 12), range(8, 12)])
+@pytest.mark.parametrize("second", [range(1, 12, 2), range(8, 12)])
 def test_two_objects_or_one_that_was_moved_are_told_as_that(second):
     masks = {view: others(c) if k in second else mask for k, (c, (view, mask)) in enumerate(zip(CAMERAS, MASKS.items()))}
     found = doubt(CAMERAS, masks)
