@@ -74,15 +74,15 @@ test: $(INSTALLED)  ## everything; `test-fast` first tells soon what is wrong
 test-fast: $(READY)  ## the fast ones alone: about a minute
 	$(TESTS) -m "not slow"
 
-# Every stop is a run of its own: some two thousand of them, a minute a hundred on quiet cores.
+# Thousands of stops, a fifth of a second of one core each: a run, and another that mends what it leaves unless one before left the same.
 crash-test: $(READY)  ## stop small runs before each of their changes to the disk; needs a C compiler
-	OMP_NUM_THREADS=1 $(BIN)/python tests/crash/points.py
+	OMP_NUM_THREADS=1 $(BIN)/python tests/crash/points.py --jobs 2
 
-# Half an hour on quiet cores.
+# A third of a second of one core each, where COLMAP runs three.
 kill-test: $(READY)  ## kill small runs at a thousand random moments
-	OMP_NUM_THREADS=1 $(BIN)/python tests/crash/kills.py
+	OMP_NUM_THREADS=1 $(BIN)/python tests/crash/kills.py --jobs 2
 
-# Four hundred of them, each through three commands or more: ten minutes on quiet cores.
+# Twelve hundred of them, each through two commands or more; what stages leave takes two seconds of one core each.
 hostile: $(READY)  ## captures and datasets that reach outside, execute or swallow memory, through the program
 	OMP_NUM_THREADS=1 $(BIN)/python tests/hostile/run.py
 

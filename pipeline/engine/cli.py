@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import sys
 from collections.abc import Mapping, Sequence
@@ -14,9 +15,11 @@ from pipeline.engine.changes import State, expected_warnings, keep_hint, stale_a
 from pipeline.engine.child import run_stage
 from pipeline.engine.completion import script
 from pipeline.engine.costs.estimate import Estimator
+from pipeline.engine.dataset import Dataset
 from pipeline.engine.device import device_of, refuse_missing_cuda
 from pipeline.engine.early import look_early, say_warnings
 from pipeline.engine.gc import collect
+from pipeline.engine.inputs_check import explained
 from pipeline.engine.interrupts import Interrupted, interruptible
 from pipeline.engine.outlook import outlook, plan_text, with_costs
 from pipeline.engine.places import existing_dataset, refuse_another_capture
@@ -25,6 +28,7 @@ from pipeline.engine.program import Program
 from pipeline.engine.settings import remember
 from pipeline.engine.verify import verify
 from pipeline.errors import UserError, line_of
+from pipeline.formats.dataset_files import MANIFEST
 
 JOB_WORDS = 4  # `job PLAN ROW STAGE`: what a cluster runs of a batch's plan
 
@@ -67,11 +71,17 @@ def _run(program: Program, arguments: Sequence[str]) -> int:
         print(script(options.shell, command_parser(stages, program.formats)), end="")
         return 0
     if options.command == "compare" and program.compare is not None:
-        print(f"comparison: {program.compare([Path(p) for p in options.datasets], Path(options.out))}")
+        compared = [Path(p) for p in options.datasets]
+        with contextlib.ExitStack() as stack:
+            for path in compared:
+                version = (path / MANIFEST).is_file()
+                stack.enter_context(explained(Dataset.holding(path) if version else Dataset(path), stages))
+            print(f"comparison: {program.compare(compared, Path(options.out))}")
         return 0
     if options.command == "export" and program.export is not None:
         dataset = existing_dataset(options.capture, options.dataset, "export")
-        print(f"exported: {program.export(dataset, options.to, options.out)}")
+        with explained(dataset, stages):
+            print(f"exported: {program.export(dataset, options.to, options.out)}")
         return 0
     if options.command in ("gc", "verify"):
         return {"gc": collect, "verify": verify}[options.command](options, stages)

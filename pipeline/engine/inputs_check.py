@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 import shutil
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 from pipeline.capture.naming.safe_names import fault_of_name
 from pipeline.engine.dataset import Dataset, Version
-from pipeline.engine.dataset.damage import damaged_files
+from pipeline.engine.dataset.damage import damaged_files, versions_in_use
 from pipeline.engine.dataset.documents import read_object
 from pipeline.errors import UserError
 
@@ -35,7 +36,12 @@ def published(dataset: Dataset, stage: str, key: str) -> Version:
 
 def refuse_unsafe_tables(dataset: Dataset, versions: Iterable[Version]) -> None:
     """Raise UserError where a table of a version, which anyone may have written, names views that no file can be called."""
+    from pipeline.formats.result_check import FORMS, fault_of_table
+
     for version in versions:
+        for path in (version.folder / o["path"] for o in version.manifest["outputs"]):
+            if path.name in FORMS and (fault := fault_of_table(path)):
+                raise _forged(path, fault, version)
         for name, key in TABLES.items():
             path = version.folder / name
             if not path.exists():
@@ -64,15 +70,52 @@ def _refuse_unsafe_cameras(dataset: Dataset, path: Path) -> None:
 
 
 def cause(error: Exception, dataset: Dataset, inputs: Mapping[str, Version]) -> Exception:
-    """Why a stage failed: a full disk or a damaged input where it is one of these, else the error itself."""
+    """Why a stage failed: a full disk, or a damaged or forged input where it is one of these, else the error itself."""
     if isinstance(error, UserError) and not _below(error.file, dataset.root):
         return error
     if shutil.disk_usage(dataset.root).free < LEAST_FREE:
         return UserError(dataset.root, "no space left on the target", "free some space or choose another DATASET=")
     damage: Any = next(damaged_files(dataset, inputs.values(), None), None)
-    if damage is None:
+    if damage is not None:
+        return UserError(damage.file, f"{damage.fault}: it is damaged", verify_remedy(dataset))
+    if isinstance(error, UserError | OSError | MemoryError):
         return error
-    return UserError(damage.file, f"{damage.fault}: it is damaged", verify_remedy(dataset))
+    return _forged_input(inputs.values(), error) or error
+
+
+def _forged_input(versions: Iterable[Version], error: Exception) -> UserError | None:
+    """The first file of what failed that no stage leaves, whatever its manifest says."""
+    from pipeline.formats.result_check import fault_of_result, sizes_of
+
+    of_each = [(version, [version.folder / o["path"] for o in version.manifest["outputs"]]) for version in versions]
+    sizes = sizes_of(path for _, paths in of_each for path in paths)
+    for version, paths in of_each:
+        for path in paths:
+            if fault := fault_of_result(path, sizes):
+                return _forged(path, f"{fault} ({type(error).__name__})", version)
+    return None
+
+
+def _forged(path: Path, fault: str, version: Version) -> UserError:
+    return UserError(path, f"{fault}: no stage wrote that", f"remove {version.folder}, and the same command makes it again")
+
+
+@contextlib.contextmanager
+def explained(dataset: Dataset, stages: Iterable[str]) -> Iterator[None]:
+    """Within it, what fails because of a damaged or forged file of a version in use is a UserError that names the file."""
+    try:
+        yield
+    except Exception as error:
+        file = error.file if isinstance(error, UserError) else error.filename if isinstance(error, OSError) else None
+        if not dataset.exists or (file is not None and not _below(str(file), dataset.root)):
+            raise
+        versions, damaged = versions_in_use(dataset, stages)
+        if damaged:
+            raise UserError(damaged[0].file, f"{damaged[0].fault}: it is damaged", verify_remedy(dataset)) from error
+        found = cause(error, dataset, {version.stage: version for version in versions})
+        if found is error:
+            raise
+        raise found from error
 
 
 def _below(file: str, root: Path) -> bool:

@@ -41,6 +41,10 @@ class PlyFault(Exception):
 
 
 COPY = "copy or export it again"
+LONGEST_COUNT = 18
+"""Digits of a number of rows: such files would be larger than any disk."""
+LONGEST_NUMBER = 400
+"""Characters of a number in text: the smallest double, written out, has 327."""
 
 
 def parse(data: bytes) -> list[Element]:
@@ -66,7 +70,7 @@ def parse(data: bytes) -> list[Element]:
 
 def _header(head: bytes) -> tuple[str, list[Element]]:
     """Byte order ("" for text) and the elements, empty. Raises PlyFault."""
-    order, elements = None, list[Element]()
+    order, elements, names = None, list[Element](), set[str]()
     for line in head.decode("latin-1").splitlines():
         words = line.split()
         match words:
@@ -75,8 +79,9 @@ def _header(head: bytes) -> tuple[str, list[Element]]:
             case ["format", name, _] if name in BYTE_ORDERS:
                 order = BYTE_ORDERS[name]
                 continue
-            case ["element", name, number] if number.isdecimal() and name not in (e.name for e in elements):
+            case ["element", name, number] if name not in names and number.isdecimal() and len(number) <= LONGEST_COUNT:
                 elements.append(Element(name, int(number)))
+                names.add(name)
                 continue
             case ["property", *kinds, name] if elements:
                 kinds = kinds[1:] if kinds[:1] == ["list"] and len(kinds) == 3 else kinds
@@ -110,7 +115,7 @@ def _rows(element: Element, data: bytes, at: int, row: np.dtype) -> NDArray:
     have = (len(data) - at) // row.itemsize if row.itemsize else element.count
     if have < element.count:
         raise _short(element, have)
-    return np.frombuffer(data, row, element.count, at) if row.itemsize else np.empty(element.count, row)
+    return np.frombuffer(data, row, element.count, at) if row.itemsize else np.empty(0, row)
 
 
 def _short(element: Element, have: int) -> PlyFault:
@@ -130,7 +135,7 @@ def _binary_alike(element: Element, data: bytes, at: int, order: str) -> int | N
         if here + size > len(data):
             return None
         length = int(np.frombuffer(data, order + p.length, 1, here)[0])
-        if length < 0:
+        if length < 0 or length * np.dtype(p.kind).itemsize > len(data) - here - size:
             return None
         fields += [(f"{p.name} length", order + p.length), (p.name, order + p.kind, (length,))]
         here += size + length * np.dtype(p.kind).itemsize
@@ -211,6 +216,8 @@ def _text(element: Element, words: list[bytes], at: int) -> int:
 
 def _numbers(words: list[bytes], kind: str) -> NDArray:
     """Words as numbers; text may hold more digits than a float of 32 bits keeps, so floats have 64. Raises PlyFault."""
+    if (longest := max(map(len, words), default=0)) > LONGEST_NUMBER:  # numpy would give every word as much room
+        raise PlyFault(f"a word of {longest} characters stands where a number should", COPY)
     try:
         return np.array(words, dtype="S").astype(np.float64).astype("f8" if "f" in kind else kind)
     except ValueError:

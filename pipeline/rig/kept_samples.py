@@ -8,12 +8,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.errors import UserError
 from pipeline.formats.arrays import array_names, read_array
 
 NUMBERS = (
     "diffuse_albedo", "specular_albedo", "diffuse_normal", "specular_normal", "tangent", "sigma", "residual",
 )  # fmt: skip
 """Of the fit: as the maps of that name, but that the widths are the pixel's own, the spread of its normals in them."""
+
+LARGEST = 1 << 28
+"""Bytes of one array: a megapixel's samples under forty lights, a thousand times what is kept."""
 
 
 @dataclass(frozen=True)
@@ -58,8 +62,14 @@ def read_kept_samples(path: Path) -> KeptSamples:
         The samples.
 
     Raises:
-        UserError: the file is damaged, or lacks one of the arrays.
+        UserError: the file is damaged, lacks one of the arrays, or they do not fit each other.
     """
-    pixels, lights, cross = (read_array(path, name) for name in ("pixels", "lights", "cross"))
-    parallel = read_array(path, "parallel") if "parallel" in array_names(path) else None
-    return KeptSamples(pixels, lights, cross, parallel, {name: read_array(path, name) for name in NUMBERS})
+    pixels, lights, cross = (read_array(path, name, LARGEST) for name in ("pixels", "lights", "cross"))
+    parallel = read_array(path, "parallel", LARGEST) if "parallel" in array_names(path) else None
+    numbers = {name: read_array(path, name, LARGEST) for name in NUMBERS}
+    samples = (len(pixels), len(lights), 3) if pixels.ndim == lights.ndim == 1 else ()
+    fitting = all(a.shape == samples for a in (cross, parallel) if a is not None)
+    fitting &= all(a.ndim == 2 and len(a) == len(pixels) for a in numbers.values())
+    if not (fitting and all(a.dtype.kind in "iu" and (a.size == 0 or a.min() >= 0) for a in (pixels, lights))):
+        raise UserError(path, "its arrays do not fit each other", "run the olat stage again")
+    return KeptSamples(pixels, lights, cross, parallel, numbers)

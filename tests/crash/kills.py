@@ -1,6 +1,6 @@
 """Kill small runs at random moments, and see whether the same commands make of what is left what an undisturbed run makes.
 
-    python tests/crash/kills.py [--kills 1000] [--scenes stub,real,stage] [--seed 0]
+    python tests/crash/kills.py [--kills 1000] [--scenes stub,real,stage,colmap] [--seed 0] [--jobs 2]
 
 Every kill is SIGKILL to all processes of a command, or to one of them, at a moment drawn evenly from the time that the
 command takes: `all` of a new dataset or of a half-made one; `gc`, `verify` or `verify --repair` of one with a version to
@@ -11,6 +11,7 @@ and compared file by file.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 import random
 import shutil
@@ -25,17 +26,19 @@ HERE = Path(__file__).parent
 AGAIN = 0.75  # chance that what a kill left is killed once more before it is mended
 COMMANDS = ("all", "all", "all", "gc", "verify", "repair")
 MOST = 6
+SHARES = {"stub": 0.2, "real": 0.4, "stage": 0.34, "colmap": 0.06}
+"""Of the kills, by scene: a run of COLMAP takes seconds."""
 
 
-def started(work: Callable[[], int], log: Path) -> int:
+def begun(work: Callable[[], int], log: Path) -> int:
     """The process of `work`, the head of a group of its own."""
-    from forks import end_as
+    from forks import started
 
-    pid = os.fork()
-    if pid == 0:
+    def alone() -> int:
         os.setsid()
-        end_as(work, log)
-    return pid
+        return work()
+
+    return started(alone, log)
 
 
 def members(group: int) -> list[int]:
@@ -52,20 +55,31 @@ def members(group: int) -> list[int]:
     return found
 
 
+def wait_for_group(group: int) -> None:
+    """Until all its processes have ended: a stage whose parent was killed ends by itself."""
+    while True:
+        try:
+            os.killpg(group, 0)
+        except ProcessLookupError:
+            return
+        time.sleep(0.002)
+
+
 def killed(work: Callable[[], int], log: Path, after_s: float, dice: random.Random) -> bool:
     """Start `work` and kill it, or one of its processes alone, after a while; whether it still ran then."""
-    group = started(work, log)
+    group = begun(work, log)
     time.sleep(after_s)
     running = os.waitpid(group, os.WNOHANG)[0] == 0
     if running:
-        victims = members(group)
-        if dice.random() < 0.25 and len(victims) > 1:
+        victims = members(group) if dice.random() < 0.25 else []
+        if len(victims) > 1:
             os.kill(dice.choice(victims), signal.SIGKILL)
         else:
-            os.killpg(group, signal.SIGKILL)
+            with contextlib.suppress(ProcessLookupError):  # it has not come to be the head of its group yet
+                os.killpg(group, signal.SIGKILL)
+            os.kill(group, signal.SIGKILL)
         os.waitpid(group, 0)
-    while members(group):  # a stage whose parent was killed ends by itself
-        time.sleep(0.002)
+    wait_for_group(group)
     return running
 
 
@@ -96,15 +110,18 @@ class Kills:
 
     def timed(self, command: str, dataset: Path, parameters: str | None = None) -> float:
         """Seconds that an undisturbed command takes. Exits where it fails."""
+        from forks import status_of
+
         began = time.monotonic()
-        pid = started(self.work(command, dataset, parameters), self.log)
-        if os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]):
+        pid = begun(self.work(command, dataset, parameters), self.log)
+        if status_of(pid):
             sys.exit(self.log.read_text())
         return time.monotonic() - began
 
     def one(self) -> tuple[int, str]:
         """A dataset, its kills, its mending: how many kills, and what is wrong, or nothing."""
-        from points import contents
+        from forks import status_of
+        from states import results
 
         command, kills = self.dice.choice(COMMANDS), 0
         dataset = self.base / "one" / "d"
@@ -120,12 +137,12 @@ class Kills:
                 break
             command = "all"
         for name in ("plan", "all", "gc", "verify"):
-            pid = started(self.work(name, dataset), self.log)
-            if status := os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]):
+            pid = begun(self.work(name, dataset), self.log)
+            if status := status_of(pid):
                 return kills, f"`{name}` afterwards: status {status}, {self.log.read_text().splitlines()[-1]}"
         if "Traceback" in self.log.read_text():
             return kills, f"a traceback: {self.log.read_text().splitlines()[-1]}"
-        found, whole = contents(dataset), contents(self.whole)
+        found, whole = results(dataset), results(self.whole)
         wrong = sorted({k for k in {*found, *whole} if found.get(k) != whole.get(k)})
         return kills, f"differs: {', '.join(wrong[:4])}" if wrong else ""
 
@@ -134,26 +151,42 @@ def main() -> int:
     """Parse, kill, print how many; returns 1 where something is not mended."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--kills", type=int, default=1000, help="how many in all")
-    parser.add_argument("--scenes", default="stub,real,stage")
+    parser.add_argument("--scenes", default=",".join(SHARES))
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--jobs", type=int, default=1, help="datasets side by side")
     options = parser.parse_args()
     sys.path[:0] = [str(HERE), str(HERE.parents[1])]
-    import scenes
+    from forks import forked
+    from scenes import SCENES
 
-    names, bad = options.scenes.split(","), 0
+    names = options.scenes.split(",")
     with tempfile.TemporaryDirectory(dir="/dev/shm" if os.access("/dev/shm", os.W_OK) else None, prefix="kills-") as folder:
+        os.environ["XDG_CACHE_HOME"] = folder  # what such runs take says nothing of this machine
+        bad = []
         for name in names:
-            pid = os.fork()  # a scene puts its own stages in the program's place
-            if pid:
-                bad += os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]) != 0
-                continue
-            os._exit(_scene(scenes.SCENES[name](Path(folder) / f"{name}-capture"), Path(folder) / name,
-                            -(-options.kills // len(names)), options.seed))  # fmt: skip
+            wanted = -(-options.kills * SHARES[name] // sum(SHARES[n] for n in names))
+            # a scene puts its own stages in the program's place
+            bad.append(forked(lambda: _scene(SCENES[name], Path(folder), int(wanted), options)))  # noqa: B023
+    return int(any(bad))
+
+
+def _scene(kind, folder: Path, wanted: int, options: argparse.Namespace) -> int:
+    """The kills of one scene; returns 1 where something is not mended."""
+    from forks import side_by_side
+
+    began = time.monotonic()
+    scene = kind(folder / f"{kind.name}-capture")
+    scene.load(folder)
+    share = -(-wanted // options.jobs)
+    works = [lambda k=k: _share(scene, folder / f"{kind.name}-{k}", share, options.seed + k) for k in range(options.jobs)]
+    found = side_by_side(works)
+    kills, bad = sum(f[0] for f in found), sum(f[1] for f in found)
+    print(f"{scene.name}: {kills} kills, {bad} not mended ({time.monotonic() - began:.0f} s)", flush=True)
     return int(bad > 0)
 
 
-def _scene(scene, base: Path, wanted: int, seed: int) -> int:
-    """The kills of one scene; returns 1 where something is not mended."""
+def _share(scene, base: Path, wanted: int, seed: int) -> tuple[int, int]:
+    """How many kills there were, at least as many as are wanted, and how many datasets were not mended."""
     run, kills, bad = Kills(scene, base, seed), 0, 0
     while kills < wanted:
         more, fault = run.one()
@@ -161,8 +194,7 @@ def _scene(scene, base: Path, wanted: int, seed: int) -> int:
         if fault:
             bad += 1
             print(f"{scene.name}: {fault}", flush=True)
-    print(f"{scene.name}: {kills} kills, {bad} not mended", flush=True)
-    return int(bad > 0)
+    return kills, bad
 
 
 if __name__ == "__main__":

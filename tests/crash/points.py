@@ -1,12 +1,16 @@
-"""Stop a small run before each of its changes to the disk in turn, in four ways, and see whether the same command mends it.
+"""Stop a small run before each of its changes to the disk in turn, in five ways, and see whether the same command mends it.
 
-    python tests/crash/points.py [--every N] [--ways exit,eio,enospc,power]
+    python tests/crash/points.py [--scenes stub,real,stage] [--ways exit,eio,enospc,kill,power] [--every N] [--jobs 2]
 
 Started by itself it compiles `shim.c` and begins anew with it preloaded: every open for writing, write, fsync, rename, link,
 unlink, mkdir and truncate below the dataset is counted, of native libraries too. Runs are forks of one process that has
 loaded everything.
-After each stop: `plan` and `all` must succeed, leave the digests of an undisturbed run, and nothing else.
-`power`: what no fsync had made durable is gone, in three ways: contents alone; folders' entries too; entries at random.
+
+exit, eio, enospc: the process that is about to change something ends, or is told EIO or (from then on) ENOSPC.
+kill, power: one run halts before every change, and what the disk holds then is kept: of `kill` as it is (all processes end at
+once), of `power` without what no fsync had made durable, in three ways (`states.LOSSES`).
+After each: `plan` and `all` must succeed, leave the digests of an undisturbed run, and nothing else. Of stops that leave the
+same on the disk, one is mended.
 """
 
 from __future__ import annotations
@@ -20,13 +24,13 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from dataclasses import dataclass, field
 from pathlib import Path
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
-WAYS = {"exit": 1, "eio": 2, "enospc": 3, "power": 1}
-LOSSES = ("contents", "entries", "some")
+RUNNING = {"exit": 1, "eio": 2, "enospc": 3}
+WATCHED = ("kill", "power")
 SHIM = "POLARFIELD_CRASH_SHIM"
 
 
@@ -48,144 +52,157 @@ class Shim:
         self.library.crash_count.restype = ctypes.c_long
         self.library.crash_arm.argtypes = [ctypes.c_char_p, ctypes.c_long, ctypes.c_int, ctypes.c_char_p]
 
-    def arm(self, folder: Path, number: int, mode: int, store: Path | None = None) -> None:
+    def arm(self, folder: Path, number: int = 0, mode: int = 0, store: Path | None = None) -> None:
         """Count changes below `folder` from here on; do what `mode` says at the one of this number."""
         self.library.crash_arm(os.fsencode(folder), number, mode, os.fsencode(store) if store else b"")
+
+    def watch(self, asked: int, granted: int) -> None:
+        """Have every change ask first, through pipes."""
+        self.library.crash_watch(asked, granted)
 
     def disarm(self) -> None:
         """Let everything pass."""
         self.library.crash_disarm()
+
+    def apart(self) -> None:
+        """Count apart from the process that this one is a fork of."""
+        self.library.crash_apart()
 
     def count(self) -> int:
         """Changes since `arm`, of forks too."""
         return self.library.crash_count()
 
 
-def forked(work: Callable[[], int], log: Path) -> int:
-    """The exit status of `work` in a fork whose output goes to a file."""
-    from forks import end_as
+@dataclass(frozen=True)
+class Stop:
+    """One stop: how, before which change; `left`: what it leaves on the disk (None: a run that stops there leaves it)."""
 
-    pid = os.fork()
-    if pid == 0:
-        end_as(work, log)
-    return os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
-
-
-def after_power_loss(folder: Path, store: Path, how: str, dice: random.Random) -> None:
-    """Make of a dataset what a disk would hold that lost power: `store` has what each fsync made durable."""
-    aside = folder.with_name(folder.name + "-lost")
-
-    def durable_file(inode: int, target: Path) -> None:
-        kept = store / f"f-{inode}"
-        target.write_bytes(kept.read_bytes() if kept.exists() else b"")
-
-    def entries(now: Path | None, inode: int) -> dict[str, tuple[str, int, str]]:
-        kept = store / f"d-{inode}"
-        lines = kept.read_text().splitlines() if kept.exists() else []
-        old = {}
-        for line in lines:
-            head, _, target = line.partition("\t")
-            kind, number, name = head.split(" ", 2)
-            old[name] = (kind, int(number), target)
-        new = {}
-        for path in now.iterdir() if now is not None else ():
-            kind = "l" if path.is_symlink() else "d" if path.is_dir() else "f"
-            new[path.name] = (kind, path.lstat().st_ino, os.readlink(path) if kind == "l" else "")
-        if how == "contents":
-            return new
-        if how == "entries":
-            return old
-        names = sorted({*old, *new})
-        return {n: e for n in names if (e := (old if dice.random() < 0.5 else new).get(n))}
-
-    def rebuild(now: Path | None, inode: int, target: Path) -> None:
-        target.mkdir()
-        for name, (kind, number, link) in entries(now, inode).items():
-            if kind == "l":
-                (target / name).symlink_to(link)
-            elif kind == "f":
-                durable_file(number, target / name)
-            else:
-                inner = by_inode.get(number)
-                rebuild(inner, number, target / name)
-
-    by_inode = {p.stat().st_ino: p for p in folder.rglob("*") if p.is_dir() and not p.is_symlink()}
-    rebuild(folder, folder.stat().st_ino, aside)
-    shutil.rmtree(folder)
-    aside.rename(folder)
+    way: str
+    number: int
+    left: dict[str, tuple[str, bytes]] | None = None
 
 
-def contents(folder: Path) -> dict[str, str]:
-    """Every file of a dataset by its path, those under a stage's key by their bytes; what holds times, by its name alone."""
-    import hashlib
+@dataclass
+class Tally:
+    """What came of stops: how many there were, how many left what no other had, and how many were not mended."""
 
-    out = {}
-    for path in sorted(folder.rglob("*")):
-        name = path.relative_to(folder).as_posix()
-        if path.is_symlink():
-            out[name] = os.readlink(path)
-        elif path.is_file():
-            told = name.startswith(".work") or path.name in ("manifest.json", "metrics.json", "report.html")
-            out[name] = "" if told else hashlib.blake2b(path.read_bytes()).hexdigest()
-        elif not any(path.iterdir()) and not name.startswith(".work"):
-            out[name] = "an empty folder"
-    return {k: v for k, v in out.items() if not k.endswith(".lock")}
+    tried: int = 0
+    mended: int = 0
+    bad: int = 0
+    seconds: float = 0.0
+    seen: set[str] = field(default_factory=set)
 
 
-def stopped(shim: Shim, scene, way: str, number: int, base: Path) -> str:
-    """One stop and its mending; returns what is wrong, or nothing. `scene` has the calls and the digests to come back."""
-    dataset, store, log = base / "d", base / "store", base / "log"
-    shutil.rmtree(base, ignore_errors=True)
-    store.mkdir(parents=True)
-    dataset.mkdir()
-    shim.arm(dataset, number, WAYS[way], store if way == "power" else None)
-    status = forked(lambda: scene.call("all", dataset), log)
+def watched(shim: Shim, scene, ways: list[str], base: Path) -> list[Stop]:
+    """A run that halts before every change; what each would have left, had all its processes ended or the power gone."""
+    from forks import started, status_of
+    from states import LOSSES, after_power_loss, state_of
+
+    dataset, store = base / "d", base / "store"
+    for folder in (dataset, store):
+        folder.mkdir(parents=True)
+    (asks, asked), (granted, grants) = os.pipe(), os.pipe()
+    shim.arm(dataset, store=store)
+    shim.watch(asked, granted)
+    pid = started(lambda: scene.call("all", dataset), base / "log")
+    os.close(asked)
+    stops: list[Stop] = []
+    number = 0
+    while os.read(asks, 1):
+        number += 1
+        if "kill" in ways:
+            stops.append(Stop("kill", number, state_of(dataset)))
+        for how in LOSSES if "power" in ways else ():
+            stops.append(Stop(f"power ({how})", number, after_power_loss(dataset, store, how, random.Random(number))))
+        os.write(grants, b"\0")
     shim.disarm()
-    if way == "power":
-        how = LOSSES[number % len(LOSSES)]
-        after_power_loss(dataset, store, how, random.Random(number))
-    said = log.read_text()
-    if "Traceback" in said:
-        return f"a traceback: {said.splitlines()[-1]}"
-    if status not in (0, 2, 137):
-        return f"status {status}"
+    for handle in (asks, granted, grants):
+        os.close(handle)
+    if status_of(pid):
+        sys.exit((base / "log").read_text())
+    return stops
+
+
+def tried(shim: Shim, scene, stop: Stop, base: Path, tally: Tally) -> str:
+    """One stop and its mending; returns what is wrong, or nothing. `scene` has the calls and the digests to come back."""
+    from forks import forked
+    from states import identity, put_back, results
+
+    dataset, log = base / "d", base / "log"
+    log.unlink(missing_ok=True)
+    if stop.left is not None:
+        put_back(stop.left, dataset)
+    else:
+        put_back({}, dataset)
+        shim.arm(dataset, stop.number, RUNNING[stop.way])
+        status = forked(lambda: scene.call("all", dataset), log)
+        shim.disarm()
+        said = log.read_text()
+        if "Traceback" in said:
+            return f"a traceback: {said.splitlines()[-1]}"
+        if status not in (0, 2, 137):
+            return f"status {status}"
+    found = identity(dataset)
+    if found in tally.seen:
+        return ""
+    tally.seen.add(found)
+    tally.mended += 1
     for command in ("plan", "all"):
         if status := forked(lambda: scene.call(command, dataset), log):  # noqa: B023
             return f"`{command}` afterwards: status {status}, {log.read_text().splitlines()[-1]}"
-    found = contents(dataset)
-    wrong = sorted({k for k in {*found, *scene.whole} if found.get(k) != scene.whole.get(k)})
+    have = results(dataset)
+    wrong = sorted({k for k in {*have, *scene.whole} if have.get(k) != scene.whole.get(k)})
     return f"differs: {', '.join(wrong[:4])}" if wrong else ""
 
 
-def check(shim: Shim, scene, ways: list[str], every: int, base: Path) -> int:
+def worked_off(shim: Shim, scene, stops: list[Stop], base: Path) -> Tally:
+    """Every one of these stops; each that is not mended is printed."""
+    shim.apart()
+    tally = Tally()
+    began = time.monotonic()
+    for stop in stops:
+        tally.tried += 1
+        if fault := tried(shim, scene, stop, base, tally):
+            tally.bad += 1
+            print(f"{scene.name}: {stop.way} before change {stop.number}: {fault}", flush=True)
+    tally.seconds = time.monotonic() - began
+    return tally
+
+
+def check(shim: Shim, scene, options: argparse.Namespace, base: Path) -> int:
     """All stops of a scene; prints how many, and each that is not mended; returns how many are not."""
-    whole = base / "whole" / "d"
+    from forks import forked, side_by_side
+    from states import results
+
+    whole, ways = base / "whole" / "d", options.ways.split(",")
     whole.mkdir(parents=True)
-    shim.arm(whole, 0, 0)
+    shim.arm(whole)
     if forked(lambda: scene.call("all", whole), base / "log"):
         sys.exit((base / "log").read_text())
     points = shim.count()
     shim.disarm()
-    scene.whole = contents(whole)
-    bad = tried = 0
-    for way in ways:
-        started = time.monotonic()
-        for number in range(1 + random.Random(way).randrange(every), points + 1, every):
-            tried += 1
-            if fault := stopped(shim, scene, way, number, base / "one"):
-                bad += 1
-                print(f"{scene.name}: {way} before change {number}: {fault}", flush=True)
-        print(f"{scene.name}: {way}: {time.monotonic() - started:.0f} s", flush=True)
-    print(f"{scene.name}: {points} points, {tried} stops tried, {bad} not mended", flush=True)
+    scene.whole = results(whole)
+    stops = watched(shim, scene, ways, base / "watched") if {*ways} & {*WATCHED} else []
+    print(f"{scene.name}: {points} points; {len(stops)} states of the disk at the changes of a watched run", flush=True)
+    stops += [Stop(way, number) for way in ways if way in RUNNING for number in range(1, points + 1)]
+    stops = stops[random.Random(points).randrange(options.every) :: options.every]
+    share = -(-len(stops) // options.jobs)
+    parts = [stops[k : k + share] for k in range(0, len(stops), share)]
+    tallies = side_by_side([lambda p=p, k=k: worked_off(shim, scene, p, base / f"{k}") for k, p in enumerate(parts)])
+    total, mended, bad = (sum(getattr(t, name) for t in tallies) for name in ("tried", "mended", "bad"))
+    print(f"{scene.name}: {points} points, {total} stops tried, {bad} not mended "
+          f"({mended} left what no other had; {sum(t.seconds for t in tallies):.0f} s)", flush=True)  # fmt: skip
     return bad
 
 
 def main() -> int:
     """Parse, preload, go through the scenes; returns 1 where a stop is not mended."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--every", type=int, default=1, help="try each n-th point alone")
-    parser.add_argument("--ways", default=",".join(WAYS), help="how to stop")
-    parser.add_argument("--scenes", default="stub,real", help="stub: tiny stages; real: decode, poses, masks of 16 px")
+    parser.add_argument("--every", type=int, default=1, help="try each n-th stop alone")
+    parser.add_argument("--ways", default=",".join([*RUNNING, *WATCHED]), help="how to stop")
+    parser.add_argument("--scenes", default="stub,real,stage", help="stub: tiny stages; real: decode, poses, masks of 16 px; "
+                        "stage: with the fit of a light stage's cameras")  # fmt: skip
+    parser.add_argument("--jobs", type=int, default=1, help="stops side by side")
     options = parser.parse_args()
     memory = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
     with tempfile.TemporaryDirectory(dir=memory, prefix="crash-") as folder:
@@ -195,13 +212,19 @@ def main() -> int:
             again = [sys.executable, str(HERE / "points.py"), *sys.argv[1:]]
             return subprocess.run(again, env=environment, cwd=ROOT).returncode
         sys.path.insert(0, str(HERE))
-        import scenes
+        os.environ["XDG_CACHE_HOME"] = folder  # what such runs take says nothing of this machine
+        from forks import forked
+        from scenes import SCENES
 
-        bad = 0
-        for name in options.scenes.split(","):
-            scene = scenes.SCENES[name](Path(folder) / f"{name}-capture")
-            bad += check(Shim(), scene, options.ways.split(","), options.every, Path(folder) / name)
-        return int(bad > 0)
+        # a scene puts its own stages in the program's place
+        bad = [forked(lambda: _scene(SCENES[name], Path(folder), options)) for name in options.scenes.split(",")]  # noqa: B023
+        return int(any(bad))
+
+
+def _scene(kind, folder: Path, options: argparse.Namespace) -> int:
+    scene = kind(folder / f"{kind.name}-capture")
+    scene.load(folder)
+    return int(check(Shim(), scene, options, folder / kind.name) > 0)
 
 
 if __name__ == "__main__":

@@ -2,6 +2,8 @@
 
    crash_arm(folder, number, mode, store): before the change `number` (from 1) below `folder`, in this process or one forked from it,
    mode 0 nothing, 1 end at once (no handler, no flush), 2 this change fails with EIO, 3 this and all later ones fail with ENOSPC.
+   crash_watch(asked, granted): before every change a byte goes into the pipe `asked`, and the change waits for one of `granted`.
+   crash_apart(): count apart from the process that this one was forked from.
    store: a folder that receives what an fsync makes durable: `f-INODE` a file's content, `d-INODE` a folder's entries, one a line as
    KIND INODE NAME[\tTARGET]; empty: none is kept. */
 #define _GNU_SOURCE
@@ -15,6 +17,7 @@
 #include <stdlib.h>
 #include <string.h>
 #include <sys/mman.h>
+#include <sys/sendfile.h>
 #include <sys/stat.h>
 #include <sys/syscall.h>
 #include <sys/uio.h>
@@ -23,7 +26,7 @@
 static char folder[PATH_MAX], store[PATH_MAX];
 static size_t length;
 static long at;
-static int mode;
+static int mode, asked = -1, granted = -1;
 static long *count;
 
 #define NEXT(type, name) static __typeof__(type) *name##_; if (!name##_) name##_ = dlsym(RTLD_NEXT, #name)
@@ -38,7 +41,9 @@ void crash_arm(const char *root, long number, int how, const char *durable) {
   mode = how;
 }
 long crash_count(void) { return count ? *count : 0; }
-void crash_disarm(void) { length = 0; }
+void crash_disarm(void) { length = 0; asked = -1; }
+void crash_watch(int ask, int grant) { asked = ask; granted = grant; }
+void crash_apart(void) { count = 0; }
 
 static int below(int base, const char *path) {
   char whole[2 * PATH_MAX], link[64];
@@ -71,6 +76,8 @@ static int of_handle(int fd) {
 /* The change is about to happen: 0 to go on, -1 (with errno) to fail. `grows`: a full disk refuses it. */
 static int change(int grows) {
   long n = __atomic_add_fetch(count, 1, __ATOMIC_SEQ_CST);
+  char byte = 0;
+  if (asked >= 0 && syscall(SYS_write, asked, &byte, 1) == 1) while (syscall(SYS_read, granted, &byte, 1) < 0 && errno == EINTR) {}
   if (n == at && mode == 1) syscall(SYS_exit_group, 137);
   if (n == at && mode == 2) { errno = EIO; return -1; }
   if (n >= at && mode == 3 && grows) { errno = ENOSPC; return -1; }
@@ -79,10 +86,11 @@ static int change(int grows) {
 
 static void keep(int fd) {
   struct stat s;
-  char path[2 * PATH_MAX], buffer[1 << 16];
+  char path[2 * PATH_MAX], aside[2 * PATH_MAX + 32], buffer[1 << 16];
   if (!store[0] || fstat(fd, &s)) return;
   snprintf(path, sizeof path, "%s/%c-%lu", store, S_ISDIR(s.st_mode) ? 'd' : 'f', (unsigned long)s.st_ino);
-  int out = syscall(SYS_openat, AT_FDCWD, path, O_WRONLY | O_CREAT | O_TRUNC, 0666);
+  snprintf(aside, sizeof aside, "%s.%ld", path, (long)syscall(SYS_gettid));
+  int out = syscall(SYS_openat, AT_FDCWD, aside, O_WRONLY | O_CREAT | O_TRUNC, 0666);
   if (out < 0) return;
   snprintf(buffer, sizeof buffer, "/proc/self/fd/%d", fd);
   if (S_ISDIR(s.st_mode)) {
@@ -103,6 +111,7 @@ static void keep(int fd) {
     if (in >= 0) syscall(SYS_close, in);
   }
   syscall(SYS_close, out);
+  syscall(SYS_renameat, AT_FDCWD, aside, AT_FDCWD, path);  /* one who looks meanwhile finds what was durable before, or this */
 }
 
 #define WRITES(flags) ((flags) & (O_WRONLY | O_RDWR | O_CREAT | O_TRUNC))
@@ -141,6 +150,11 @@ ON_HANDLE(ssize_t, pwrite64, (int fd, const void *data, size_t n, off_t o), fd, 
 ON_HANDLE(ssize_t, writev, (int fd, const struct iovec *v, int n), fd, v, n)
 ON_HANDLE(int, ftruncate, (int fd, off_t n), fd, n)
 ON_HANDLE(int, ftruncate64, (int fd, off_t n), fd, n)
+ON_HANDLE(ssize_t, sendfile, (int fd, int in, off_t *o, size_t n), fd, in, o, n)
+ON_HANDLE(ssize_t, sendfile64, (int fd, int in, off_t *o, size_t n), fd, in, o, n)
+ON_HANDLE(ssize_t, copy_file_range, (int in, off_t *a, int fd, off_t *b, size_t n, unsigned f), in, a, fd, b, n, f)
+ON_HANDLE(ssize_t, pwritev, (int fd, const struct iovec *v, int n, off_t o), fd, v, n, o)
+ON_HANDLE(int, fallocate, (int fd, int f, off_t o, off_t n), fd, f, o, n)
 size_t fwrite(const void *data, size_t size, size_t n, FILE *stream) {
   NEXT(size_t(const void *, size_t, size_t, FILE *), fwrite);
   if (length && of_handle(fileno(stream)) && change(1)) return 0;
@@ -174,3 +188,4 @@ ON_PATH(unlink, 0, AT_FDCWD, path, (const char *path), path)
 ON_PATH(unlinkat, 0, b, path, (int b, const char *path, int f), b, path, f)
 ON_PATH(remove, 0, AT_FDCWD, path, (const char *path), path)
 ON_PATH(rmdir, 0, AT_FDCWD, path, (const char *path), path)
+ON_PATH(truncate, 1, AT_FDCWD, path, (const char *path, off_t n), path, n)

@@ -12,6 +12,7 @@ import pytest
 
 HERE = Path(__file__).parent
 COMPILER = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
+ALL = "exit,eio,enospc,kill,power"
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(COMPILER is None, reason="no C compiler is here")]
 
 
@@ -20,7 +21,7 @@ def points(*arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(line, cwd=HERE.parents[1], capture_output=True, text=True, timeout=900)
 
 
-@pytest.mark.parametrize(("scene", "every", "ways"), [("stub", "25", "exit,eio,enospc,power"), ("real", "240", "exit,power")])
+@pytest.mark.parametrize(("scene", "every", "ways"), [("stub", "40", ALL), ("real", "240", ALL)])
 def test_a_run_that_is_stopped_before_a_change_to_the_disk_is_mended_by_the_same_command(scene, every, ways):
     done = points("--scenes", scene, "--every", every, "--ways", ways)
     assert done.returncode == 0, done.stdout + done.stderr

@@ -99,6 +99,28 @@ def test_a_huge_count_in_a_damaged_header_is_reported_at_once(tmp_path: Path) ->
         read(tmp_path / "a.ply", pyramid("<").replace(b"element vertex 5", b"element vertex 99999999999"))
 
 
+@pytest.mark.parametrize(
+    ("head", "body"),
+    [
+        (b"element vertex 2\nproperty list uint float x\nproperty float y\n", b"\xff\xff\xff\x7f" * 8),
+        (b"element vertex " + b"9" * 5000 + b"\nproperty float x\n", b""),
+        (b"element nothing 999999999999999999\nelement vertex 1\nproperty float x\n", b""),
+    ],
+    ids=["lists", "digits", "rows without anything"],
+)
+def test_absurd_headers_are_reported_without_taking_memory(tmp_path: Path, head: bytes, body: bytes) -> None:
+    (tmp_path / "a.ply").write_bytes(b"ply\nformat binary_little_endian 1.0\n" + head + b"end_header\n" + body)
+    with pytest.raises(UserError, match=r"a\.ply: .*(truncated|does not know)"):
+        Ply(tmp_path / "a.ply")
+
+
+def test_a_word_of_many_characters_among_numbers_is_no_number(tmp_path: Path) -> None:
+    head = b"ply\nformat ascii 1.0\nelement vertex 100000\nproperty float x\nend_header\n"
+    (tmp_path / "a.ply").write_bytes(head + b"1 " * 99_999 + b"1" * 10**6)
+    with pytest.raises(UserError, match=r"a word of 1000000 characters"):
+        Ply(tmp_path / "a.ply")
+
+
 def test_a_file_that_is_not_there_is_reported(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="no such file"):
         Ply(tmp_path / "none.ply")

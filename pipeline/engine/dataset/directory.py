@@ -6,6 +6,7 @@ import contextlib
 import os
 import shutil
 from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +17,12 @@ from pipeline.engine.dataset.in_use import LINK, InUse
 from pipeline.engine.dataset.leftovers import clear_leftovers
 from pipeline.engine.dataset.links import holds_what_no_run_leaves, refuse_links
 from pipeline.engine.dataset.locks import open_lock
+from pipeline.engine.dataset.presence import present
 from pipeline.engine.dataset.versions import KEY, Version, is_whole, read_version
 from pipeline.errors import UserError
 from pipeline.formats.dataset_files import MANIFEST
+
+SYNCED = 8  # files at once
 
 
 class Dataset:
@@ -92,7 +96,10 @@ class Dataset:
         """Make the directory, or say in one line why that cannot be."""
         probe = self.root / ".work" / f"probe-{os.getpid()}"
         try:
+            new = [p for p in (probe.parent, *probe.parent.parents) if not p.exists()]
             probe.parent.mkdir(parents=True, exist_ok=True)
+            for folder in new:  # what is published must not lose its way from the root of the disk
+                sync(folder.parent)
             refuse_links(self.root, probe.parent)
             write_whole(probe, "\0" * 4096)
             probe.unlink(missing_ok=True)
@@ -118,8 +125,9 @@ class Dataset:
         """Hold the dataset open for a run; `alone` asks to be the only one. Yields whether that was granted.
 
         Who is the first to come clears what killed runs left, and lets versions that were copied to STAGE/current be found.
+        Raises UserError where a run on another machine is at work whose locks do not reach here.
         """
-        with open_lock(self.root / ".work" / "in_use.lock") as lock:
+        with present(self.root), open_lock(self.root / ".work" / "in_use.lock") as lock:
             first = lock.try_to_take(alone=True)
             if first:
                 clear_leftovers(self.root, self.find)
@@ -152,10 +160,10 @@ class Dataset:
         """Make `output` the version `stage/key`: manifest added, everything synced, one rename."""
         refuse_links(self.root, self.root / stage)
         write_whole(output / MANIFEST, sealed(dict(manifest)))
-        for folder, _, names in os.walk(output):
-            for name in names:
-                sync(Path(folder) / name)
-            sync(Path(folder))
+        with ThreadPoolExecutor(SYNCED) as pool:  # a disk takes several at once for one
+            for folder, _, names in os.walk(output):
+                list(pool.map(sync, [Path(folder) / name for name in names]))
+                sync(Path(folder))
         target = self.root / stage / key
         target.parent.mkdir(parents=True, exist_ok=True)
         if target.exists() or target.is_symlink():  # a damaged version, or `find` would have returned it

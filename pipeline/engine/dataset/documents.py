@@ -7,6 +7,7 @@ import hashlib
 import json
 import os
 import re
+import secrets
 from pathlib import Path
 from typing import Any
 
@@ -58,9 +59,7 @@ def write_whole(path: Path, text: str) -> None:
     if not path.is_symlink() and small_file(path) == text.encode():
         return
     path.parent.mkdir(parents=True, exist_ok=True)
-    aside = path.with_name(f".{path.name}.{os.getpid()}")
-    with contextlib.suppress(FileNotFoundError):
-        aside.unlink()
+    aside = aside_of(path)
     try:
         handle = os.open(aside, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC, 0o666)
         with open(handle, "w") as stream:
@@ -73,6 +72,11 @@ def write_whole(path: Path, text: str) -> None:
             aside.unlink()
         raise
     sync(path.parent)
+
+
+def aside_of(path: Path) -> Path:
+    """Where a file is written before it takes its place: no process anywhere has that name; the writer's number ends it."""
+    return path.with_name(f".{path.name}.{secrets.token_hex(4)}.{os.getpid()}")
 
 
 def sync(path: Path) -> None:

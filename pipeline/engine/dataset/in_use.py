@@ -12,7 +12,7 @@ import os
 import shutil
 from pathlib import Path
 
-from pipeline.engine.dataset.documents import read_object, sync, write_whole
+from pipeline.engine.dataset.documents import aside_of, read_object, sync, write_whole
 from pipeline.engine.dataset.links import refuse_links
 from pipeline.engine.dataset.locks import open_lock
 from pipeline.engine.dataset.versions import KEY, is_whole, read_version
@@ -67,9 +67,7 @@ class InUse:
         if link.is_symlink() and os.readlink(link) == key:
             return
         refuse_links(self.root, link.parent)
-        aside = link.with_name(f".{LINK}.{os.getpid()}")
-        with contextlib.suppress(FileNotFoundError):
-            aside.unlink()
+        aside = aside_of(link)
         try:
             aside.symlink_to(key)
         except OSError as error:
@@ -106,7 +104,7 @@ def _make_way(place: Path, stage: str) -> None:
     elif place.is_file() and place.stat().st_size < 256 and KEY.fullmatch(place.read_text(errors="replace").strip()):
         place.unlink()
     elif place.is_dir() and _is_a_copy(place, stage):
-        gone = place.with_name(f".{LINK}.{os.getpid()}.old")
+        gone = aside_of(place)
         place.rename(gone)
         shutil.rmtree(gone)
     else:

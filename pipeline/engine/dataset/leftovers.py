@@ -12,7 +12,7 @@ from pathlib import Path
 from pipeline.engine.dataset.versions import KEY
 
 ASIDE = re.compile(
-    r"\.(?:dataset\.json|in_use\.json|digests\.json|verified\.json|probe-\d+|current)\.(\d+)(?:\.old)?|probe-(\d+)"
+    r"\.(?:dataset\.json|in_use\.json|digests\.json|verified\.json|probe-\d+|current)(?:\.[0-9a-f]{8})?\.(\d+)(?:\.old)?|probe-(\d+)"
 )
 """Names of what is written aside; each ends with the number of the process that writes it."""
 

@@ -42,12 +42,14 @@ class Lock:
 
 
 @contextlib.contextmanager
-def open_lock(path: Path) -> Iterator[Lock]:
-    """Open a lock file, made where there is none. Raises UserError where it is no plain file."""
-    flags = os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK
+def open_lock(path: Path, new: bool = True) -> Iterator[Lock]:
+    """Open a lock file, made where there is none (not `new`: FileNotFoundError). Raises UserError where it is no plain file."""
+    flags = os.O_RDWR | (os.O_CREAT if new else 0) | os.O_APPEND | os.O_NOFOLLOW | os.O_CLOEXEC | os.O_NONBLOCK
     try:
         handle = os.open(path, flags, 0o666)
     except OSError as error:
+        if error.errno == errno.ENOENT and not new:
+            raise
         if error.errno in (errno.ELOOP, errno.EMLINK, errno.EISDIR, errno.ENXIO):
             raise UserError(path, "is no plain file, as a lock is", "remove it") from error
         raise UserError(path, f"cannot be opened ({error.strerror})", "check its permissions") from error

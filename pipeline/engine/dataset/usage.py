@@ -15,11 +15,35 @@ from typing import Any
 from pipeline.engine.dataset.documents import read_object
 
 PROCESSES = Path("/proc")
+LISTED = PROCESSES / "thread-self/children"
+"""Linux lists a thread's children where it was built to."""
 PAGE = os.sysconf("SC_PAGE_SIZE")
 
 
+def _tree(root: int) -> list[int]:
+    """A process and all its descendants."""
+    found, queue = [], [root]
+    tree = None if LISTED.exists() else _children()
+    while queue:
+        pid = queue.pop()
+        found.append(pid)
+        queue += _listed_children(pid) if tree is None else tree.get(pid, [])
+    return found
+
+
+def _listed_children(pid: int) -> list[int]:
+    """A process's children, of whichever thread."""
+    out: list[int] = []
+    try:
+        for task in os.listdir(PROCESSES / str(pid) / "task"):
+            out += map(int, (PROCESSES / str(pid) / "task" / task / "children").read_text().split())
+    except OSError:
+        pass  # it, or a thread of it, ended meanwhile
+    return out
+
+
 def _children() -> dict[int, list[int]]:
-    """Child process ids by parent, for the processes one can see."""
+    """Child process ids by parent, for all processes that one can see: on a busy machine hundreds of files are read."""
     out: dict[int, list[int]] = {}
     for entry in os.listdir(PROCESSES):
         if entry.isdigit():
@@ -35,10 +59,8 @@ def _resident_bytes() -> int:
     """Resident memory of this process and all its descendants; where no system tells (/proc), the peak of either."""
     if not PROCESSES.exists():
         return max(_peak_bytes(resource.RUSAGE_SELF), _peak_bytes(resource.RUSAGE_CHILDREN))
-    tree, queue, total = _children(), [os.getpid()], 0
-    while queue:
-        pid = queue.pop()
-        queue += tree.get(pid, [])
+    total = 0
+    for pid in _tree(os.getpid()):
         try:
             total += int((PROCESSES / str(pid) / "statm").read_text().split()[1]) * PAGE
         except (OSError, IndexError):
