@@ -32,7 +32,8 @@ def in_turn(calls: Sequence[Callable[[], Any]], count: int) -> NDArray[np.float6
 def training_overhead(folder: Path, scratch: Path) -> dict[str, dict[str, float]]:
     """Processor seconds of a step, of making indirect light anew and of a test view, by kind; shares of those without it.
 
-    Measured on the start surface, at the step before which the light is made anew for the first time.
+    Measured on the start surface, at a step after the light was made. `every`: steps between two times of a whole run, in the
+    mean.
     """
     from benchmarks.bench_train import sources_of
     from stages.train.parameters import TrainParameters
@@ -51,7 +52,8 @@ def training_overhead(folder: Path, scratch: Path) -> dict[str, dict[str, float]
         anew = 0.0
         for _ in range(2 if kind != "none" else 0):  # the first time builds what stays: filters, neighbours
             anew = timed(partial(trainer.renderer.trace, trainer.pyramids[0], 0))[1]
-        out[kind] = {"anew_s": anew, "every": trainer.upkeep.period}
+        times = sum(trainer.upkeep.traces_before(step, 0) for step in range(parameters.iterations))
+        out[kind] = {"anew_s": anew, "every": parameters.iterations / max(times, 1)}
         trainer.iteration = trainer.upkeep.period + 1
     tests = [replace(s, mask=np.ones_like(s.mask)) for s in sources if s.split == "test"][:LOOKS]
     # In turn, so that what else runs on the machine slows all kinds alike; it only ever adds.

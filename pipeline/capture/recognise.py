@@ -8,15 +8,22 @@ from pathlib import Path
 
 from pipeline.capture.config import load_config
 from pipeline.capture.layouts import all_layouts
-from pipeline.capture.light_stage.beside_views import folder_beside, joined, read_beside
+from pipeline.capture.light_stage.beside_views import folder_beside, idle_words, joined, read_beside
 from pipeline.capture.model import Capture
-from pipeline.capture.naming.files import refuse_duplicates
+from pipeline.capture.naming.files import ARCHIVES, refuse_duplicates
 from pipeline.capture.naming.safe_names import refuse_special_files
 from pipeline.capture.recognition.copies import copied_pictures
-from pipeline.capture.recognition.foreign import foreign_warnings, lost_links, refuse_unreadable, refuse_without_pictures
-from pipeline.capture.recognition.idle_tables import refuse_idle_tables
+from pipeline.capture.recognition.foreign import (
+    foreign_warnings,
+    lost_links,
+    refuse_dataset,
+    refuse_unreadable,
+    refuse_without_pictures,
+)
+from pipeline.capture.recognition.idle_tables import exposures_for_some, polarisers_alike, refuse_idle_tables
+from pipeline.capture.recognition.misnamed_settings import misnamed_settings
 from pipeline.errors import UserError
-from pipeline.geometry.camera_check import one_pose_words, refuse_one_place
+from pipeline.geometry.camera_check import one_pose_words, outside_words, refuse_one_place
 
 LIGHT_STAGES = ("open_illumination", "ict_light_stage", "one_light_a_picture")
 """Layouts that a folder olat/ is read by, and not what lies beside it."""
@@ -41,7 +48,8 @@ def open_capture(path: Path | str) -> Capture:
     if not root.exists():
         raise UserError(root, "there is no such folder", "give CAPTURE= the folder that holds the images")
     if not root.is_dir():
-        raise UserError(root, "is a file, not a capture folder", "give CAPTURE= the folder that holds the images")
+        way = "unpack it and " if root.suffix.lower() in ARCHIVES else ""
+        raise UserError(root, "is a file, not a capture folder", f"{way}give CAPTURE= the folder that holds the images")
     try:
         shown = [name for name in os.listdir(root) if not name.startswith(".")]
         entries = sorted(name + "/" * os.path.isdir(root / name) for name in shown)
@@ -50,6 +58,7 @@ def open_capture(path: Path | str) -> Capture:
     if not entries:
         raise UserError(root, "the folder is empty", "give CAPTURE= a folder with images; docs/captures.md lists the layouts")
     refuse_special_files(root)
+    refuse_dataset(root)
     config = load_config(root)
     layouts = all_layouts()
     beside = folder_beside(root)
@@ -78,6 +87,7 @@ def open_capture(path: Path | str) -> Capture:
 def _with_stage(capture: Capture, folder: Path | None) -> Capture:
     """A capture, checked, with the light stage in `folder` where it is one of views."""
     views = _checked(capture)
+    views = replace(views, warnings=(*views.warnings, *idle_words(views)))
     return views if folder is None or views.kind != "multiview" else joined(views, _checked(read_beside(views, folder)))
 
 
@@ -87,6 +97,8 @@ def _checked(capture: Capture) -> Capture:
     if capture.kind == "multiview" and capture.cameras:
         refuse_one_place(capture.cameras, capture.camera_file)
     refuse_idle_tables(capture)
-    twins = one_pose_words(capture.cameras, capture.camera_file) if capture.kind == "multiview" and capture.cameras else []
-    found = (*twins, *copied_pictures(capture), *foreign_warnings(capture), *lost_links(capture.root))
+    given = capture.cameras if capture.kind == "multiview" and capture.cameras else {}
+    twins = (*one_pose_words(given, capture.camera_file), *outside_words(given, capture.camera_file))
+    files = (*copied_pictures(capture), *foreign_warnings(capture), *lost_links(capture.root))
+    found = (*twins, *misnamed_settings(capture.root), *exposures_for_some(capture), *polarisers_alike(capture), *files)
     return replace(capture, warnings=(*capture.warnings, *found))

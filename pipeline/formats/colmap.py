@@ -62,7 +62,7 @@ def find_models(root: Path) -> list[Path]:
         The models' folders, most registered images first; empty where there is none.
     """
     for group in PLACES:
-        found = [f for place in group for f in (sorted(root.glob(place)) if place else [root]) if _holds_model(f)]
+        found = [f for place in group for f in (sorted(root.glob(place)) if place else [root]) if holds_model(f)]
         if found:
             return sorted(found, key=registered_images, reverse=True)
     return []
@@ -80,7 +80,12 @@ def find_model(root: Path) -> Path | None:
     return next(iter(find_models(root)), None)
 
 
-def _holds_model(folder: Path) -> bool:
+def holds_model(folder: Path) -> bool:
+    """Say whether a folder holds a COLMAP model's cameras and images, binary or text.
+
+    Args:
+        folder: any.
+    """
     return any(all((folder / f"{name}{suffix}").is_file() for name in FILES[:2]) for suffix in (".bin", ".txt"))
 
 
@@ -105,24 +110,26 @@ def registered_images(folder: Path) -> int:
         return 0
 
 
-def model_files(folder: Path) -> tuple[Path, ...]:
+def model_files(folder: Path, text: bool = False) -> tuple[Path, ...]:
     """Name the files of a model that are read.
 
     Args:
         folder: the model's.
+        text: those of its text form, whatever else there is.
 
     Returns:
         Those of cameras, images and points3D that exist: binary if both of the first are there so, else text.
     """
-    suffix = ".bin" if all((folder / f"{name}.bin").is_file() for name in FILES[:2]) else ".txt"
+    suffix = ".txt" if text or not all((folder / f"{name}.bin").is_file() for name in FILES[:2]) else ".bin"
     return tuple(p for p in (folder / f"{name}{suffix}" for name in FILES) if p.is_file())
 
 
-def read_model(folder: Path) -> ColmapModel:
+def read_model(folder: Path, text: bool = False) -> ColmapModel:
     """Read a COLMAP model, text or binary.
 
     Args:
         folder: the model's.
+        text: its text form, whatever else there is.
 
     Returns:
         Its cameras (world-to-camera, OpenCV axes) and points; no points where it has no points3D file.
@@ -130,7 +137,7 @@ def read_model(folder: Path) -> ColmapModel:
     Raises:
         UserError: a file is malformed or holds what can be no camera, or no image is registered.
     """
-    files = {p.stem: p for p in model_files(folder)}
+    files = {p.stem: p for p in model_files(folder, text)}
     binary = files["cameras"].suffix == ".bin"
     at = files["cameras"]
     try:
@@ -148,6 +155,34 @@ def read_model(folder: Path) -> ColmapModel:
     if not cameras:
         raise UserError(files["images"], "the COLMAP model has no registered image", "delete it to find the cameras anew")
     return ColmapModel(cameras, points, colours)
+
+
+SAME_FORM = 1e-4
+"""Relative: text is written with six digits and more."""
+
+
+def forms_differ(folder: Path, model: ColmapModel) -> bool:
+    """Say whether a folder holds a model as text besides as binary, and the text has other cameras.
+
+    Args:
+        folder: the model's.
+        model: as it was read.
+    """
+    text = model_files(folder, text=True)
+    if model_files(folder) == text or {p.stem for p in text} < set(FILES[:2]):
+        return False
+    try:
+        other = read_model(folder, text=True).cameras
+    except UserError:
+        return True
+    return set(other) != set(model.cameras) or not all(_alike(other[name], c) for name, c in model.cameras.items())
+
+
+def _alike(first: Camera, second: Camera) -> bool:
+    one, other = (np.array([c.width, c.height, c.fx, c.fy, c.cx, c.cy, *c.distortion]) for c in (first, second))
+    scale = max(1.0, float(np.abs(second.world_to_camera).max()))
+    posed = np.allclose(first.world_to_camera, second.world_to_camera, rtol=0, atol=SAME_FORM * scale)
+    return posed and len(one) == len(other) and np.allclose(one, other, rtol=SAME_FORM, atol=SAME_FORM)
 
 
 Lens = tuple[str, int, int, list[float]]

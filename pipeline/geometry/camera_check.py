@@ -14,6 +14,8 @@ ROTATION_TOLERANCE = 0.01
 """Of R Rᵀ - 1: files that round to three digits pass, a scale of one percent does not."""
 SHORTEST_FOCAL = 0.05
 """Of the longer side: a pinhole would see 169 degrees; it is a focal length in other units, such as millimetres or widths."""
+SQUEEZED = 2.5
+"""Ratio of the two focal lengths: anamorphic lenses squeeze by 2."""
 CORNER, FAR_CORNER = 1.0, 0.01
 """Pixels from the first corner in both directions, where a principal point is missing or in parts of the image; and part of the
 size from the last, where it is of an image twice as large."""
@@ -92,6 +94,8 @@ def _fault(camera: CameraLike) -> tuple[str, str]:
         return f"the focal lengths {_listed(numbers[:2])} are not pixels of a {camera.width}x{camera.height} image", (
             "give them in pixels"
         )
+    if max(camera.fx, camera.fy) > SQUEEZED * min(camera.fx, camera.fy):
+        return f"the focal lengths {_listed(numbers[:2])} are of no lens", "give fx, fy, cx and cy in their order, in pixels"
     if max(abs(camera.cx - camera.width / 2), abs(camera.cy - camera.height / 2)) > FURTHEST_CENTRE * longest:
         return f"the principal point {_listed(numbers[2:])} is far off the {camera.width}x{camera.height} image", (
             "give it in pixels from the image's top left corner"
@@ -134,6 +138,24 @@ def one_pose_words(cameras: Mapping[str, CameraLike], path: str | Path) -> list[
         return []
     more = f" and {len(pairs) - 1} more pairs" if len(pairs) > 1 else ""
     return [f"{path}: {pairs[0]}{more} have one pose, to the last digit: check that each view has its own"]
+
+
+def outside_words(cameras: Mapping[str, CameraLike], path: str | Path) -> list[str]:
+    """A warning where most principal points lie outside of their pictures, as those of larger pictures do.
+
+    Args:
+        cameras: by view.
+        path: their file.
+
+    Returns:
+        The line, or nothing.
+    """
+    outside = [c for c in cameras.values() if not (0 <= c.cx <= c.width and 0 <= c.cy <= c.height)]
+    if len(outside) <= len(cameras) / 2:
+        return []
+    first = outside[0]
+    point = f"principal points lie outside of the pictures ({_listed((first.cx, first.cy))} of {first.width}x{first.height})"
+    return [f"{path}: {point}: check that focal lengths and principal points are of pictures of this size"]
 
 
 FEWEST_TO_JUDGE = 8

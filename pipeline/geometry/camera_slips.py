@@ -22,6 +22,9 @@ AS_GOOD = 1.5
 HOPELESS = 1e9
 """Pixels: any misfit from here on is as bad; finite, so that a search can take differences of it."""
 MIRRORS = {"x": (-1.0, 1.0, 1.0), "y": (1.0, -1.0, 1.0), "z": (1.0, 1.0, -1.0)}
+LIKE_MIRRORS = {"x": "mirrored left to right", "y": "mirrored top to bottom", "z": "turned upside down"}
+"""Of pictures, what cannot be told from a world that is mirrored in the same axis (in z it lies behind its cameras)."""
+QUARTERS = {"clockwise": 1, "counter-clockwise": -1}
 Misfit = Callable[[Sequence[Camera]], float]
 """How badly some cameras fit the pictures: lower is better."""
 
@@ -105,8 +108,12 @@ def slips(cameras: Sequence[Camera], misfit: Misfit) -> Iterator[Slip]:
     for axis, signs in MIRRORS.items():
         yield Slip(
             mirrored(cameras, signs),
-            f"a world mirrored in {axis} fits: check the handedness of the axes that the poses were written in",
+            f"a world mirrored in {axis} fits, or pictures {LIKE_MIRRORS[axis]}: check the handedness of the axes that the "
+            "poses were written in, and how the pictures were saved",
         )
+    for way, quarters in QUARTERS.items():
+        rolled = [turned(camera, np.array([0.0, 0.0, quarters * np.pi / 2])) for camera in cameras]
+        yield Slip(rolled, f"pictures turned by 90 degrees {way} fit: give them in the orientation that the cameras are of")
     for said, order in orders(len(cameras)):
         moved = [posed(camera, cameras[k]) for camera, k in zip(cameras, order)]
         yield Slip(moved, f"poses {said} fit: check which pose belongs to which picture")

@@ -55,6 +55,14 @@ class Occluder:
         blocked = found.hit & ((found.normal * directions).sum(-1) < 0)
         return Hits(blocked, self._corners(np.where(blocked, found.triangle, 0)), found.weights)
 
+    def met(self, rays: NDArray[np.float32]) -> tuple[NDArray[np.int64], NDArray[np.int64], Float]:
+        """Which of rays [R, 6] (origins, then directions) are blocked [B], and their triangles' vertices and weights [B, 3]."""
+        found = self._rays.cast_packed(rays)
+        rows = np.flatnonzero(found.hit)
+        rows = rows[np.einsum("rk,rk->r", found.normal[rows], rays[rows, 3:]) < 0]
+        hits = found.of(rows)
+        return rows, self._corners(hits.triangle), hits.weights
+
     def blocked(self, origins: NDArray, directions: NDArray) -> NDArray[np.bool_]:
         """Whether rays meet anything [R]: cheaper than `cast`."""
         return self._rays.blocked(origins, directions)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from pipeline.geometry.camera_slips import HOPELESS, turned
+from pipeline.geometry.camera_slips import AS_GOOD, HOPELESS, turned
 from pipeline.geometry.cameras import Camera
 
 STANDS_OUT = 5.0
@@ -18,6 +18,9 @@ LEAST_TURN_DEG = 0.5
 """Of one camera: less is what poses differ by."""
 LEAST_GAIN = 4.0
 """Factor by which a turn must make a camera's errors smaller: three numbers explain some of whatever is there."""
+AROUND = np.array([(pitch, yaw, 0.0) for pitch in (0, -0.15, 0.15, -0.3, 0.3) for yaw in (0, -0.15, 0.15, -0.3, 0.3)])
+ROLLED = np.array([(0.0, 0.0, roll) for roll in (np.pi, np.pi / 2, -np.pi / 2)])
+"""Rotation vectors that a turn is looked for around; pictures are stored upside down or on their side too."""
 FEW = 0.25
 """Share of the cameras up to which they are at fault one by one."""
 
@@ -51,7 +54,9 @@ def odd_cameras(
     shares = [errors[judged & (pairs == k).any(1)] for k in range(len(cameras))]
     each = np.array([_better_part(own, kept) if own.size >= fewest / 2 else 0.0 for own in shares])
     typical = float(np.median(each))
-    odd = np.nonzero(enough & (each > max(odd_px, STANDS_OUT * typical)))[0]
+    limit = max(odd_px, STANDS_OUT * typical)
+    odd = np.nonzero(enough & (each > limit))[0]
+    odd = odd[[not _blamed(int(k), odd, pairs[judged], errors[judged], kept, fewest / 2, limit) for k in odd]]
     most = max(1, int(FEW * len(cameras)))
     said: dict[int, str] = {}
     for k in sorted(odd[np.argsort(-each[odd], kind="stable")][:most]):
@@ -59,6 +64,15 @@ def odd_cameras(
         if degrees > LEAST_TURN_DEG and left <= min(max(good_px, 2 * typical), each[k] / LEAST_GAIN):
             said[int(k)] = f"{each[k]:.1f} px off; turned by {degrees:.1f} degrees it would fit"
     return said if len(odd) <= len(cameras) / 2 else {}
+
+
+def _blamed(
+    view: int, odd: NDArray[np.intp], pairs: NDArray[np.intp], errors: NDArray[np.float64], kept: float, fewest: float,
+    limit: float,
+) -> bool:  # fmt: skip
+    """Whether a camera fits all those that are not odd: then another's fault made it look so."""
+    own = errors[(pairs == view).any(1) & ~np.isin(pairs, odd[odd != view]).any(1)]
+    return own.size >= fewest and _better_part(own, kept) <= limit
 
 
 def _better_part(errors: NDArray[np.float64], kept: float) -> float:
@@ -79,6 +93,10 @@ def _best_turn(
         return min(_better_part(errors, kept), HOPELESS) if errors.size > kept * size / 2 else HOPELESS
 
     step = 0.1 * max(camera.width, camera.height) / camera.fx
-    start = np.concatenate([np.zeros((1, 3)), step * np.eye(3)])
-    fine = minimize(error, start[0], method="Nelder-Mead", options={"initial_simplex": start, "maxfev": 300, "xatol": 1e-5})
-    return float(np.degrees(np.linalg.norm(fine.x))), float(fine.fun)
+    found = []
+    for starts in (AROUND, ROLLED):
+        start = min(starts, key=error) + np.concatenate([np.zeros((1, 3)), step * np.eye(3)])
+        options = {"initial_simplex": start, "maxfev": 300, "xatol": 1e-5}
+        fine = minimize(error, start[0], method="Nelder-Mead", options=options)
+        found.append((float(np.degrees(np.linalg.norm(fine.x))), float(fine.fun)))
+    return found[1] if found[1][1] * AS_GOOD < found[0][1] else found[0]

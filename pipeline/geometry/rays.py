@@ -70,7 +70,11 @@ class RayMesh:
 
     def cast(self, origins: NDArray, directions: NDArray) -> RayHits:
         """First hits of rays from origins along directions, [..., 3] each (broadcast); the hits keep the rays' shape."""
-        found = self._scene.cast_rays(self._rays(origins, directions))
+        return self.cast_packed(np.concatenate(np.broadcast_arrays(origins, directions), axis=-1))
+
+    def cast_packed(self, rays: NDArray) -> RayHits:
+        """`cast` of rays [..., 6]: origins, then directions."""
+        found = self._scene.cast_rays(self._single(rays))
         return RayHits(
             found["t_hit"].numpy(),
             found["primitive_ids"].numpy().astype(np.int64),
@@ -85,6 +89,10 @@ class RayMesh:
     def blocked(self, origins: NDArray, directions: NDArray) -> NDArray[np.bool_]:
         """Whether rays [..., 3] meet anything: cheaper than `cast`."""
         return self._scene.test_occlusions(self._rays(origins, directions)).numpy()
+
+    def blocked_packed(self, rays: NDArray) -> NDArray[np.bool_]:
+        """`blocked` of rays [..., 6]: origins, then directions."""
+        return self._scene.test_occlusions(self._single(rays)).numpy()
 
     def crossings(self, origins: NDArray, directions: NDArray) -> NDArray[np.int32]:
         """How often rays [..., 3] cross the mesh."""

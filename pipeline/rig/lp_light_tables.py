@@ -91,8 +91,10 @@ def read_directions(path: Path) -> LightTable:
             table = replace(table, colour=channels / values[:, None])
     if names.is_file():
         listed = [line.strip() for line in names.read_text(errors="replace").splitlines() if line.strip()]
-        if len(listed) == len(table):
-            table = replace(table, names=tuple(listed))
+        if len(listed) != len(table):
+            fault = f"names {len(listed)} pictures, {path.name} has {len(table)} lights"
+            raise UserError(names, fault, "name each light's picture, in the order of the lights")
+        table = replace(table, names=tuple(listed))
     return table
 
 

@@ -71,7 +71,8 @@ def read_lights_csv(path: Path) -> LightTable:
     wanted = {"index", "x", "y", "z"}
     if not wanted <= set(names):
         missing = ", ".join(sorted(wanted - set(names)))
-        raise UserError(path, f"has no column {missing}", "its first line must be index,x,y,z[,intensity][,solid_angle]")
+        why = _why_no_columns(names)
+        raise UserError(path, f"has no column {missing}{why}", "its first line must be index,x,y,z[,intensity][,solid_angle]")
     values: dict[str, list[float]] = {name: [] for name in names}
     for number, row in enumerate(rows[1:], 2):
         if len(row) != len(names):
@@ -101,6 +102,17 @@ def read_lights_csv(path: Path) -> LightTable:
         bad = numbers[~(np.isfinite(numbers) & (numbers == np.round(numbers)) & (numbers >= 0))][0]
         raise UserError(path, f"index {bad:g} is no whole number from 0", "number the lights as their frames are")
     return LightTable(table.directions, table.positions, intensity, area, numbers.astype(np.int64), colour=colour)
+
+
+def _why_no_columns(names: list[str]) -> str:
+    """What a first line without the columns' names looks like, in words."""
+    line = ",".join(names)
+    if "\0" in line:
+        return " (it is UTF-16 text: save it as UTF-8)"
+    if ";" in line or "\t" in line:
+        return " (its cells are parted by semicolons or tabs: save it with commas, and points in numbers)"
+    numbers = [name for name in names if name.replace(".", "").replace("-", "").replace("e", "").isdigit()]
+    return " (it begins with numbers)" if names and len(numbers) == len(names) else f" (it has {line})" if names else ""
 
 
 def _coloured(

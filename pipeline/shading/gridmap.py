@@ -2,19 +2,22 @@
 
 `transfer.Transfer` is the better of the two; this is the paper's, with its weights and its places of anchors by name
 (docs/physics.md, Shading). A small prefiltered level holds all that diffuse light needs of an anchor, so that a point costs a
-blend of four texels an anchor, not 52 full lookups.
+blend of four texels an anchor, not 52 full lookups, and the anchors' texels lie side by side.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from pipeline.geometry.occluder import Occluder
+from pipeline.kernels.simd import LANES
+from pipeline.kernels.threads import row_buffers, run_on_all_cores
 from pipeline.optics.fresnel import hemispherical_transmittance
 from pipeline.optics.model_names import ANCHOR_PLACES, ANCHOR_WEIGHTS
 
@@ -31,6 +34,8 @@ NEAREST = 4
 """Neighbours of the kNN albedo: PhyGaP names no number; a surface point has about this many splats or vertices around it."""
 # Weights' floor over the box's squared diagonal: it only meets a point that sits on an anchor.
 FLOOR = 1e-6
+ROWS = 512  # of the anchors' tables that are laid side by side at a time
+TILT = 0.05  # of a normal, by which the irradiance's slope is taken: half a texel of the diffuse level
 
 
 def nearest_albedo(points: NDArray, albedo: NDArray, at: NDArray) -> NDArray[np.float32]:
@@ -55,7 +60,7 @@ class LocalLight:
     """Prefiltered light at each of A anchors.
 
     Fields:
-        tables: rows as those of `field.packed`. [T, 3, A]
+        tables: rows as those of `field.packed`; 0 from the last anchor on. [T, 3, A, up to whole LANES]
         field: says which rows are what (`LightField`).
     """
 
@@ -98,11 +103,14 @@ class GridMap:
         self.albedo = torch.as_tensor(np.asarray(albedo), dtype=torch.float32)
         self.anchors = box_anchors(occluder.vertices, up) if anchors == "box" else surface_anchors(occluder)
         self._prefilter = Prefilter(resolution, lobe)
-        directions = cube_directions(resolution).reshape(-1, 3).astype(np.float32)
-        origins = np.repeat(self.anchors.astype(np.float32), len(directions), axis=0)
-        hits = occluder.cast(origins, np.tile(directions, (len(self.anchors), 1)))
-        self._hit = torch.as_tensor(np.flatnonzero(hits.blocked))
-        self._corners, self._share = torch.as_tensor(hits.vertices[hits.blocked]), torch.as_tensor(hits.weights[hits.blocked])
+        rays = np.empty((6 * resolution**2, 6), np.float32)
+        rays[:, 3:] = cube_directions(resolution).reshape(-1, 3)
+        found = []
+        for a, place in enumerate(self.anchors):
+            rays[:, :3] = place
+            rows, vertices, shares = occluder.met(rays)
+            found.append((rows + a * len(rays), vertices, shares))
+        self._hit, self._corners, self._share = (torch.as_tensor(np.concatenate(part)) for part in zip(*found))
 
     @cached_property
     def _normals(self) -> torch.Tensor:
@@ -123,8 +131,12 @@ class GridMap:
             seen = far.repeat(count, 1)
             seen[self._hit] = (leaving[self._corners] * self._share[..., None]).sum(1)
             fields = [self._prefilter.apply(cube) for cube in seen.reshape(count, 6, self.resolution, self.resolution, 3)]
-            tables = np.stack([f.packed.numpy() for f in fields], 2)
-            return LocalLight(np.ascontiguousarray(tables), fields[0])
+            packed = torch.stack([f.packed for f in fields])
+            tables = torch.zeros(*packed.shape[1:], self._places.shape[1])
+            for first in range(0, len(tables), ROWS):  # within a core's cache, as it is turned
+                rows = slice(first, first + ROWS)
+                tables[rows, :, :count] = packed[:, rows].permute(1, 2, 0)
+            return LocalLight(tables.numpy(), fields[0])
 
     def _far(self, radiance: torch.Tensor) -> torch.Tensor:
         """The environment in an anchor's texels [6 D^2, 3]: means of its own, or between them where they are larger."""
@@ -143,29 +155,50 @@ class GridMap:
         out = float(hemispherical_transmittance(np.asarray(REFERENCE_IOR))) if exact else 1.0
         return out / torch.pi * self.albedo * field.irradiance(self._normals, transmitted=exact).detach().cpu()
 
-    def blend(self, points: NDArray) -> NDArray[np.float32]:
-        """Weights of the anchors at points [P, 3], summing to 1 [P, A] (Eq. 9)."""
-        out = np.empty((len(points), len(self.anchors)), np.float32)
-        where = np.ascontiguousarray(points, np.float32), np.ascontiguousarray(self.anchors.T, np.float32)
-        kernels.blend_weights(*where, self.weights == "printed", np.float32(self.floor), out)
-        return out
+    @cached_property
+    def _places(self) -> NDArray[np.float32]:
+        """The anchors [3, A, up to whole LANES]."""
+        count = len(self.anchors)
+        return np.ascontiguousarray(np.pad(self.anchors.T.astype(np.float32), ((0, 0), (0, -count % LANES))))
 
-    def received(self, weight: NDArray[np.float32], normals: NDArray, local: LocalLight) -> NDArray[np.float32]:
-        """Irradiance [P, 3] by normals [P, 3] of the anchors' light, blended by weight [P, A]."""
+    def _run(self, kernel: Any, *given: Any) -> None:
+        """Call a kernel of lookups on all cores: what goes before the anchors and what follows them, the last output apart."""
+        before, after = given
+        anchors = (self._places, len(self.anchors), self.weights == "printed", np.float32(self.floor))
+        run_on_all_cores(kernel, *before, *anchors, *after)
+
+    def received(self, points: NDArray, normals: NDArray, local: LocalLight) -> NDArray[np.float32]:
+        """Irradiance [P, 3] at points [P, 3] by normals [P, 3] of the anchors' light, blended (Eq. 9)."""
+        return self._received(points, normals, local, False)[0]
+
+    def received_and_slope(
+        self, points: NDArray, normals: NDArray, local: LocalLight
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """`received`, and its change [P, 3, 3] with the unit normal, across it."""
+        return self._received(points, normals, local, True)
+
+    def _received(
+        self, points: NDArray, normals: NDArray, local: LocalLight, sloping: bool
+    ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         level = local.field.transmitted if self.fresnel == "exact" else local.field.cosine
-        return _blended(local.tables, level, normals, np.arange(len(normals)), np.ones(len(normals), np.float32), weight)
+        out = np.empty((len(points), 3), np.float32)
+        slope = np.empty((len(points) if sloping else 0, 3, 3), np.float32)
+        where = local.tables, level.start, level.resolution, padded_indices(level.resolution).ravel(), np.float32(TILT)
+        self._run(kernels.receive, (_single(points), _single(normals)), (*where, self._workspace(), out, slope))
+        return out, slope
 
     def mirrored(
-        self, weight: NDArray[np.float32], directions: NDArray, roughness: NDArray, rows: NDArray, local: LocalLight
+        self, points: NDArray, directions: NDArray, roughness: NDArray, rows: NDArray[np.int64], local: LocalLight
     ) -> NDArray[np.float32]:
         """E(roughness, direction) [P, 3] of the anchors' light, blended; of the points `rows` alone, 0 elsewhere."""
-        nodes = np.array(local.field.roughnesses, np.float32)
-        place = np.interp(roughness, nodes, np.arange(len(nodes))).astype(np.float32)
-        out = np.zeros((len(directions), 3), np.float32)
-        for k, level in enumerate(local.field.specular):
-            share = np.maximum(0, 1 - np.abs(place - k)).astype(np.float32)
-            out += _blended(local.tables, level, directions, rows[share[rows] > 0], share, weight)
+        out = np.zeros((len(points), 3), np.float32)
+        where = local.tables, *local.field.tables()[:5]
+        given = (_single(points), _single(directions), _single(roughness), rows)
+        self._run(kernels.reflect, given, (*where, self._workspace(), out))
         return out
+
+    def _workspace(self) -> NDArray[np.float32]:
+        return row_buffers(self._places.shape[1] + kernels.TOTALS)
 
     def occlusion(
         self,
@@ -175,36 +208,26 @@ class GridMap:
         roughness: NDArray,  # [P]
         local: LocalLight,
         blocked: NDArray[np.bool_] | None = None,  # [P]
-        weight: NDArray[np.float32] | None = None,  # [P, A]
     ) -> Occlusion:
         """What `shade` needs: diffuse light from the anchors everywhere, mirrored light where the mirror ray hits.
 
-        blocked: whether it does, where the caller has found out; else a ray is cast from each point. weight: `blend` of the
-        points, where the caller has it.
+        blocked: whether it does, where the caller has found out; else a ray is cast from each point.
         """
         mirror = 2 * np.einsum("pk,pk->p", normals, view)[:, None] * normals - view
         if blocked is None:
             blocked = self.occluder.blocked(points + self.occluder.lift * normals, mirror)
-        weight = self.blend(points) if weight is None else weight
-        diffuse = torch.as_tensor(self.received(weight, normals, local))
-        seen = torch.as_tensor(self.mirrored(weight, mirror, roughness, np.flatnonzero(blocked), local))
+        diffuse = torch.as_tensor(self.received(points, normals, local))
+        seen = torch.as_tensor(self.mirrored(points, mirror, roughness, np.flatnonzero(blocked), local))
         free = torch.as_tensor((~blocked).astype(np.float32))
         return Occlusion(torch.zeros_like(diffuse), diffuse, free, seen)
 
 
-def _blended(
-    tables: NDArray[np.float32], level: Level, directions: NDArray, rows: NDArray, share: NDArray, weight: NDArray
-) -> NDArray[np.float32]:
-    """share x lookup of a level of all anchors, blended, for the points `rows` [P, 3]; 0 for the others."""
-    out = np.zeros((len(directions), 3), np.float32)
-    index = padded_indices(level.resolution).ravel()
-    d = np.ascontiguousarray(directions, np.float32)
-    kernels.add_blended(tables, level.start, level.resolution, index, d, rows, share, weight, out)
-    return out
+def _single(values: NDArray) -> NDArray[np.float32]:
+    return np.ascontiguousarray(values, np.float32)
 
 
 def plain_weights(points: torch.Tensor, anchors: torch.Tensor, weights: str, floor: float) -> torch.Tensor:
-    """`GridMap.blend` in torch: the definition. points [P, 3], anchors [A, 3] -> [P, A]."""
+    """Weights of the anchors in torch: the definition. points [P, 3], anchors [A, 3] -> [P, A]."""
     square = ((points[:, None] - anchors) ** 2).sum(-1)
     weight = square.sqrt() if weights == "printed" else 1 / (square + floor)
     return weight / weight.sum(1, keepdim=True)

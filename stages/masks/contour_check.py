@@ -22,6 +22,8 @@ RING = (1.5, 6.0)
 MIN_PIXELS = 400
 CLEAR, RATIO = 0.25, 2.0
 """Mean resultant length of the better frame, and its lead over the other, before anything is said."""
+TURNED_DEG = 15
+"""Of the angle's zero, from which it is said: normals at outlines are not exact."""
 
 
 @dataclass(frozen=True)
@@ -60,8 +62,11 @@ def verdict(evidence: FrameEvidence) -> str | None:
     if evidence.pixels < MIN_PIXELS or max(as_is, flipped) < CLEAR:
         return None
     if flipped > RATIO * as_is:
-        return "the sign of s2 looks wrong (45° and 135° swapped, or angles counted clockwise): try [stokes] flip_s2 = true"
+        turn = np.degrees(np.angle(evidence.flipped)) / 4
+        also = f" and rotate_deg = {-turn:.0f} (or 90 more)" if abs(turn) > TURNED_DEG else ""
+        causes = "s1 and s2 exchanged, or another zero of the angle besides" if also else "angles counted clockwise"
+        return f"the sign of s2 looks wrong (45° and 135° swapped, or {causes}): try [stokes] flip_s2 = true{also}"
     turn = np.degrees(np.angle(evidence.as_is)) / 4
-    if as_is > RATIO * flipped and abs(turn) > 15:
+    if as_is > RATIO * flipped and abs(turn) > TURNED_DEG:
         return f"the angle's zero looks off by {turn:+.0f}° (or by 90° more): try [stokes] rotate_deg = {-turn:.0f}"
     return None

@@ -13,10 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.geometry.camera_slips import likeliest
+from pipeline.capture.naming.files import some
+from pipeline.geometry.camera_slips import AS_GOOD, likeliest
 from pipeline.geometry.cameras import Camera
 from pipeline.geometry.odd_cameras import FEW, odd_cameras
 from pipeline.geometry.outline_tangents import hull_points, tangent_errors
+from pipeline.geometry.view_groups import two_groups
 
 FEWEST, MOST = 4, 40
 """Views whose outlines say something, and that are held against each other (780 pairs: 15 ms)."""
@@ -26,6 +28,8 @@ KEPT = 0.75
 """Of all equations, the better part: a quarter may be of views whose masks are wrong."""
 LOG_ODDS = 10.0
 """By which a mistake must explain the outlines better, errors being Laplacian and each view one independent measurement."""
+EXPLAINED = 0.01
+"""Of the longer side: what is off by more without a mistake is not explained by it."""
 LEAST_GAIN = 2.0
 """Factor by which errors must shrink however many views there are: masks may be wrong in a common way."""
 
@@ -56,10 +60,41 @@ def outline_doubt(cameras: Mapping[str, Camera], masks: Mapping[str, NDArray[np.
     as_given = error(listed)
     if as_given > ROUNDING:
         slip, left = likeliest(listed, error)
-        if left * max(LEAST_GAIN, float(np.exp(LOG_ODDS / len(chosen)))) < as_given:
+        apart, rest = _two_objects([views[k] for k in chosen], [listed[k] for k in chosen], points)
+        if apart and rest * AS_GOOD < left:
+            slip, left = apart, rest
+        enough = left * max(LEAST_GAIN, float(np.exp(LOG_ODDS / len(chosen)))) < as_given
+        if enough and left <= EXPLAINED * max(max(camera.width, camera.height) for camera in listed):
             off = f"the cameras do not fit the outlines of the object, which are {as_given:.1f} px off"
             return f"{off}: {slip} (then {left:.1f} px)"
     return _single_views(views, listed, outlines)
+
+
+def _two_objects(views: Sequence[str], cameras: Sequence[Camera], outlines: NDArray[np.float64]) -> tuple[str | None, float]:
+    """Whether the views are of two objects (or of two places of one), in words, and the misfit within each."""
+    pairs, errors = tangent_errors(cameras, outlines)
+    if not len(pairs):
+        return None, float("inf")
+    shift = np.abs(errors.sum(1)) / 2  # masks that are too large in some views are off by as much on either side
+    groups = two_groups(len(views), pairs, shift <= 2 * ROUNDING)
+    if groups.smaller < FEWEST or groups.within < KEPT or groups.across > 1 - KEPT:
+        return None, float("inf")
+    left = np.sort(np.abs(errors[groups.same(pairs)]).mean(1))
+    return groups_said(views, groups.second), float(left[: max(1, int(KEPT * len(left)))].mean())
+
+
+def groups_said(views: Sequence[str], second: NDArray[np.bool_]) -> str:
+    """Words for views of two objects.
+
+    Args:
+        views: their names.
+        second: True for those of the second group. [V]
+    """
+    first, other = ([view for view, there in zip(views, second) if there == of] for of in (False, True))
+    return (
+        f"two groups of views fit each for itself, {len(first)} ({some(first)}) and {len(other)} ({some(other)}): is another "
+        "object in one of them, or was the object moved? Keep each in a capture of its own"
+    )
 
 
 def _evenly(numbers: list[int]) -> list[int]:

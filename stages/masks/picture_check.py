@@ -13,7 +13,9 @@ from pipeline.geometry.camera_slips import likeliest, posed
 from pipeline.geometry.cameras import Camera
 from pipeline.geometry.epipolar import sampson_errors
 from pipeline.geometry.odd_cameras import odd_cameras
-from stages.masks.picture_matches import Matches, features, matched
+from stages.masks.outline_check import groups_said
+from stages.masks.picture_groups import picture_groups
+from stages.masks.picture_matches import Matches, beyond_chance, features, matched
 from stages.masks.pose_order import pose_order
 
 MOST, BLOCK = 40, 4
@@ -22,6 +24,8 @@ MEGAPIXELS = 100
 """That are read, if that is at least three blocks."""
 FEWEST_MATCHES, FEWEST_FEATURES = 60, 40
 """Below which nothing is said."""
+FEWEST_OF_ONE = 20
+"""Matches of one camera that tell of it."""
 MOST_MATCHES = 4000
 """On which mistakes are tried: more say no more."""
 KEPT = 0.4
@@ -91,7 +95,7 @@ def matches_doubt(cameras: Mapping[str, Camera], matches: Matches) -> str | None
     count = len(matches.pairs)
     if count < FEWEST_MATCHES or matches.features < FEWEST_FEATURES:
         return None
-    listed, evidence = list(cameras.values()), Evidence(matches)
+    listed = list(cameras.values())
     few = Evidence(matches.some(MOST_MATCHES))
 
     def error(tried: Sequence[Camera]) -> float:
@@ -105,8 +109,11 @@ def matches_doubt(cameras: Mapping[str, Camera], matches: Matches) -> str | None
         slip, left = likeliest(listed, error)
         if left <= limit:
             return f"{off}: {slip} (then {left:.1f} px)"
+    second = picture_groups(listed, matches, KEPT, 2 * LOCATED)
+    if second is not None:
+        return f"the cameras do not fit what the pictures show: {groups_said(list(cameras), second)}"
     if as_given <= LOCATED:
-        return _of_one(list(cameras), listed, evidence)
+        return _of_one(list(cameras), listed, Evidence(beyond_chance(matches, listed)))
     order = pose_order(listed, matches, KEPT, LOCATED)
     if order is None or (left := error([posed(camera, listed[k]) for camera, k in zip(listed, order)])) > limit:
         return None
@@ -117,7 +124,7 @@ def matches_doubt(cameras: Mapping[str, Camera], matches: Matches) -> str | None
 
 
 def _of_one(views: Sequence[str], cameras: Sequence[Camera], evidence: Evidence) -> str | None:
-    odd = odd_cameras(cameras, evidence, OF_ONE, LOCATED, FAR, FEWEST_MATCHES)
+    odd = odd_cameras(cameras, evidence, OF_ONE, LOCATED, FAR, FEWEST_OF_ONE)
     if not odd:
         return None
     which = "; ".join(f"{views[k]} ({words})" for k, words in odd.items())

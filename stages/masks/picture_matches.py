@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.formats.images import srgb_encode
+from pipeline.geometry.cameras import Camera
 
 LONGEST = 640
 """Pixels of the longer side at which features are found."""
@@ -26,6 +27,8 @@ MARGIN = 0.01
 """Of the longer side, inside a mask's edge: outlines are of another place in each view."""
 PAIR = 8
 """Matches of a pair below which they are chance."""
+OPPOSITE = -0.3
+"""Cosine between viewing axes (107 degrees) below which two views hardly share a surface."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +50,21 @@ class Matches:
         """Choose at most so many of them, evenly."""
         chosen = slice(None, None, -(-len(self.pairs) // most) or 1)
         return replace(self, pairs=self.pairs[chosen], first=self.first[chosen], second=self.second[chosen])
+
+
+def beyond_chance(matches: Matches, cameras: Sequence[Camera]) -> Matches:
+    """Choose the matches of pairs that have more of them than pairs that look from opposite sides, whose matches are chance.
+
+    Args:
+        matches: of the pictures.
+        cameras: one a picture.
+    """
+    pairs, which, count = np.unique(matches.pairs, axis=0, return_inverse=True, return_counts=True)
+    axes = np.stack([camera.world_to_camera[2, :3] for camera in cameras])
+    opposite = (axes[pairs[:, 0]] * axes[pairs[:, 1]]).sum(1) < OPPOSITE
+    chance = max(int(count[opposite].max(initial=0)), PAIR)
+    kept = count[which.reshape(-1)] > chance
+    return replace(matches, pairs=matches.pairs[kept], first=matches.first[kept], second=matches.second[kept])
 
 
 def features(

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -20,7 +21,7 @@ AGREE = 0.7
 """Share of a picture's pairs that a pose must fit."""
 SLACK = 2.0
 """Few points of one pair are less sure than all of them together."""
-STEPS = 5000
+STEPS = 2000
 """Poses that are tried before the search is given up."""
 
 
@@ -37,11 +38,8 @@ def pose_order(cameras: Sequence[Camera], matches: Matches, kept: float, good_px
         The number of each picture's pose; None where none fits most pictures.
     """
     table = _table(cameras, matches, kept, good_px)
-    if not table:
-        return None
-    search = _Search(table, len(cameras))
-    found = next(search.orders({}, search.sequence()), None)
-    if found is None or len(found) < AGREE * len(cameras):
+    found = _Search(table, len(cameras)).best() if table else {}
+    if len(found) < AGREE * len(cameras):
         return None
     free = iter(sorted(set(range(len(cameras))) - set(found.values())))
     return [found[k] if k in found else next(free) for k in range(len(cameras))]
@@ -50,7 +48,8 @@ def pose_order(cameras: Sequence[Camera], matches: Matches, kept: float, good_px
 def _table(
     cameras: Sequence[Camera], matches: Matches, kept: float, good_px: float
 ) -> dict[tuple[int, int], NDArray[np.bool_]]:
-    """Of the pairs of pictures with the most matches: which pairs of poses fit. [V, V] each"""
+    """Of the pairs of pictures with the most matches: which pairs of poses fit. [V, V] each; none where no pair does, as of
+    pictures whose matches are chance."""
     chosen, which, count = np.unique(matches.pairs, axis=0, return_inverse=True, return_counts=True)
     strongest = np.argsort(-count, kind="stable")[: PAIRS_A_PICTURE * len(cameras)]
     essential = essential_matrices(cameras)
@@ -63,7 +62,9 @@ def _table(
         length = np.sqrt((line[..., :2] ** 2).sum(-1) + (back[..., :2] ** 2).sum(-1))
         errors = np.abs((line * v).sum(-1)) / np.maximum(length, 1e-300) * np.sqrt(cameras[i].fx * cameras[j].fx)
         better = np.sort(errors, -1)[..., : max(1, int(kept * len(own)))].mean(-1)
-        table[i, j] = better <= SLACK * good_px  # never of one place, where nothing is a number
+        fits = better <= SLACK * good_px  # never of one place, where nothing is a number
+        if fits.any():
+            table[i, j] = fits
     return table
 
 
@@ -73,40 +74,50 @@ def _in_plane(camera: Camera, points: NDArray[np.float64]) -> NDArray[np.float64
 
 @dataclass
 class _Search:
-    """Depth first, a picture after the other, each with those before it."""
+    """Depth first; next is always the picture whose pose is least open, and one that no pose fits waits, or is left out."""
 
     table: dict[tuple[int, int], NDArray[np.bool_]]
     count: int
     left: int = field(default=STEPS)
+    found: dict[int, int] = field(default_factory=dict)
+    agreeing: int = 0
 
-    def sequence(self) -> list[int]:
-        """Pictures, each connected as well as can be to those before it; what is not connected is left out."""
-        degree = np.zeros((self.count, self.count), int)
-        for i, j in self.table:
-            degree[i, j] = degree[j, i] = 1
-        order = [int(degree.sum(1).argmax())]
-        while True:
-            links = degree[order].sum(0)
-            links[order] = 0
-            if not links.any():
-                return order
-            order.append(int(links.argmax()))
+    def best(self) -> dict[int, int]:
+        """Poses by picture, so that the most pairs fit."""
+        self._sides: dict[int, list[tuple[int, NDArray[np.bool_]]]] = defaultdict(list)
+        for (i, j), fits in self.table.items():
+            self._sides[i].append((j, fits))
+            self._sides[j].append((i, fits.T))
+        first = min(self.table, key=lambda pair: int(self.table[pair].sum()))
+        for a, b in np.argwhere(self.table[first]):
+            self._extend({first[0]: int(a), first[1]: int(b)}, 1)
+        return self.found
 
-    def orders(self, found: dict[int, int], rest: Sequence[int]) -> Iterator[dict[int, int]]:
-        """Poses by picture, for all of `rest`, with those that are found already."""
-        if not rest:
-            yield found
-            return
-        picture = rest[0]
-        fits, pairs = np.zeros(self.count, int), 0
-        for other, pose in found.items():
-            if (picture, other) in self.table:
-                fits, pairs = fits + self.table[picture, other][:, pose], pairs + 1
-            elif (other, picture) in self.table:
-                fits, pairs = fits + self.table[other, picture][pose], pairs + 1
-        fits[list(found.values())] = -1
-        for pose in np.argsort(-fits, kind="stable"):
-            if fits[pose] < AGREE * pairs or self.left <= 0:
+    def _extend(self, found: dict[int, int], agreeing: int) -> None:
+        """Find poses for the other pictures too."""
+        self.left -= 1
+        if agreeing > self.agreeing:
+            self.found, self.agreeing = found, agreeing
+        picture, poses, gain = self._next(found)
+        for pose in poses:
+            if self.left <= 0 or (self.agreeing >= AGREE * len(self.table) and len(self.found) == self.count):
                 return
-            self.left -= 1
-            yield from self.orders({**found, picture: int(pose)}, rest[1:])
+            self._extend({**found, picture: pose}, agreeing + gain)
+
+    def _next(self, found: dict[int, int]) -> tuple[int, list[int], int]:
+        """The picture with the fewest poses that fit those found (of these, with the most pairs); its poses, and how many of
+        its pairs agree with each."""
+        taken, best = list(found.values()), (-1, list[int](), 0)
+        for picture in sorted(set(self._sides) - set(found)):
+            sides = [fits[:, found[other]] for other, fits in self._sides[picture] if other in found]
+            if not sides:
+                continue
+            votes = np.sum(sides, 0)
+            votes[taken] = 0
+            gain = int(votes.max())
+            if gain < AGREE * len(sides):
+                continue
+            poses = np.nonzero(votes == gain)[0].tolist()
+            if not best[1] or (len(poses), -gain) < (len(best[1]), -best[2]):
+                best = (picture, poses, gain)
+        return best

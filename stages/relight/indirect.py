@@ -88,8 +88,7 @@ class EnvironmentsOnMesh(_Mesh):
 
     def on_mesh(self, light: LocalLight) -> NDArray[np.float32]:
         """Shadow and bounced light [V, 6] at the vertices of mesh.ply."""
-        weight = self._grid.blend(self.vertices @ self.turn.T)
-        received = self._grid.received(weight, self.attributes[:, :3] @ self.turn.T, light)
+        received = self._grid.received(self.vertices @ self.turn.T, self.attributes[:, :3] @ self.turn.T, light)
         return np.concatenate([np.zeros_like(received), received], 1)
 
     def attach(self, surface: Surface, own_rays: bool = False, name: str = "") -> Seen:

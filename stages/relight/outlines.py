@@ -4,12 +4,14 @@ A G-buffer blends the normals and materials of all that a pixel shows, and light
 meets what lies behind it, or the sky, the blended normal may mirror a lamp that neither surface sees. On the silhouette the
 mesh is seen by several rays a pixel, each at a place with its own normal, material and shadows, and their light is averaged.
 Within the object the mesh may close gaps that the G-buffer shows: there it stands for a blend where all that its rays meet lies
-at the distance of something around; elsewhere a blend is no brighter than what it lies between.
+at the distance of something around; elsewhere a blend is no brighter than what it lies between. A mesh closes webs, and a blend
+leans to what lies behind: inside the mask, where their normals disagree, the darker of the two is taken, as what is too bright
+there is what one sees.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +28,8 @@ STEADY = 0.7  # cosine between neighbours' normals (45 degrees): beyond, a pixel
 SIDE = 3  # rays a side of such a pixel
 MISSED = 2.0  # pixels by which a mesh may miss the silhouette that the model has learnt
 SLOPE = 4.0  # pixels that a surface may go away over one pixel and still be the one beside it
+TURNED = 0.94  # cosine between the normals of a blend and of the mesh (20 degrees), below which one of them is wrong
+TOLD = 0.05  # opacity from which the splats tell what they show
 PAIRS = ((np.s_[1:], np.s_[:-1]), (np.s_[:, 1:], np.s_[:, :-1]))  # of neighbours, down and across
 
 
@@ -92,6 +96,7 @@ class Outlines:
     surface: Surface
     mean: csr_matrix
     coverage: NDArray[np.float32]  # [U] share of each pixel's own rays that meet the mesh, as far as they are used
+    doubted: NDArray[np.bool_]  # [U] whose blend may be right and their points wrong
 
     @property
     def met(self) -> NDArray[np.bool_]:
@@ -99,11 +104,21 @@ class Outlines:
         return np.diff(self.mean.indptr) > 0
 
     def replaced(self, stokes: NDArray[np.float32], of_mesh: NDArray[np.float32]) -> NDArray[np.float32]:
-        """A view's Stokes vectors [P, 3, 3] with the mean of their points' [M, 3, 3] where there are any."""
+        """A view's Stokes vectors [P, 3, 3] with the mean of their points' [M, 3, 3] where there are any, and where these are
+        doubted, none of those that are brighter."""
         out = stokes.copy()
-        means = self.mean @ np.nan_to_num(of_mesh).reshape(len(of_mesh), 9)
-        out[self.rows[self.met]] = means[self.met].reshape(-1, 3, 3)
+        means = (self.mean @ np.nan_to_num(of_mesh).reshape(len(of_mesh), 9)).reshape(-1, 3, 3)
+        brighter = means[:, 0].sum(-1) > np.nan_to_num(stokes[self.rows, 0]).sum(-1)
+        taken = self.met & ~(self.doubted & brighter)
+        out[self.rows[taken]] = means[taken]
         return out
+
+    def doubting(self, normal: NDArray, told: NDArray[np.bool_]) -> Outlines:
+        """The same, doubted where the points' mean normal is far from the blend's: normal [P, 3] of the view's shaded pixels,
+        told [P]: those that can be right."""
+        of_mesh = self.mean @ self.surface.normal
+        cosine = (of_mesh * normal[self.rows]).sum(-1)
+        return replace(self, doubted=told[self.rows] & (cosine < TURNED * np.linalg.norm(of_mesh, axis=-1)))
 
 
 def find_outlines(
@@ -134,7 +149,7 @@ def find_outlines(
     share = 1 / np.bincount(row, minlength=len(rows)).clip(1)
     used, point = np.unique(own[row, column], return_inverse=True)
     mean = csr_matrix((share[row], (row, point)), shape=(len(rows), len(used)))
-    return Outlines(rows, seen.surface.part(used), mean, coverage)
+    return Outlines(rows, seen.surface.part(used), mean, coverage, np.zeros(len(rows), bool))
 
 
 def _nearest(pixels: NDArray[np.int64], point: NDArray[np.int64], bare: NDArray[np.int64], width: int) -> NDArray[np.int64]:

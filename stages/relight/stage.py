@@ -59,7 +59,7 @@ def run(run: StageRun) -> None:
 
 STAGE = Stage(
     name="relight",
-    version=6,
+    version=7,
     parameters=RelightParameters,
     needs=("decode", "poses", "masks", "olat", "train", "mesh"),
     needed=needed,

@@ -15,7 +15,7 @@ from pipeline.geometry.cameras import Camera
 
 from .deferred import Surface
 from .mesh_images import BakedMesh
-from .outlines import OPAQUE, Inner, Outlines, blended, find_outlines, interior, silhouette, without_bright_rims
+from .outlines import OPAQUE, TOLD, Inner, Outlines, blended, find_outlines, interior, silhouette, without_bright_rims
 
 LEAST_ALPHA = 1 / 255  # below it nothing shows in any display
 
@@ -78,7 +78,8 @@ def read_view(path: Path, camera: Camera, mask: Path | None, mesh: BakedMesh | N
     steady = shown & ~rim & (g.alpha >= OPAQUE)
     pixel = float(np.linalg.norm(rays[height // 2, width // 2] - rays[height // 2, width // 2 - 1])) if width > 1 else 1.0
     inner = Inner(inside & (rim | (g.alpha < OPAQUE)), np.where(steady, distance, np.nan), pixel)
-    outlines = find_outlines(mesh, camera, index, edge, inner)
+    told = inside.ravel()[index] & (alpha >= TOLD)
+    outlines = find_outlines(mesh, camera, index, edge, inner).doubting(normal, told)
     rim.ravel()[index[outlines.rows[outlines.met]]] = False
     # Mask and mesh both see the object there, whatever the splats lack.
     solid = inside.ravel()[index[outlines.rows]]

@@ -14,8 +14,9 @@ from .parameters import TrainParameters
 from .pixel_attributes import LEAST_ALPHA
 from .render_view import LEARNT_FROM, SHOWN_FROM, GBuffer, Rendered, rasterise_view, render_view
 from .scene import Scene
+from .splats.carried_hull import carried_hull
 from .splats.gaussians import ROUGHNESS_FLOOR, Splats
-from .splats.splat_occlusion import BOUNCES, carried_hull, lit, trace_pixels, trace_splats
+from .splats.splat_occlusion import BOUNCES, lit, trace_pixels, trace_splats
 from .views.view import View
 
 

@@ -12,8 +12,9 @@ from pipeline.shading import Occlusion
 from .initialise.hull import HullMesh
 from .log_environment import Environment
 from .material_groups import Groups, groups_of
+from .splats.carried_hull import CarriedHull, carried_hull
 from .splats.gaussians import SplatModel
-from .splats.splat_occlusion import CarriedHull, SplatOcclusion, carried_hull
+from .splats.splat_occlusion import SplatOcclusion
 from .splats.surface_graph import SurfaceGraph, build_graph
 from .views.polarisers import PolariserBank
 

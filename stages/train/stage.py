@@ -56,7 +56,7 @@ def run(stage: StageRun) -> None:
 
 STAGE = Stage(
     name="train",
-    version=16,
+    version=17,
     parameters=TrainParameters,
     needs=("decode", "poses", "masks", "olat"),
     needed=needed,

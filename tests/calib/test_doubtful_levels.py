@@ -30,6 +30,27 @@ def test_doubtful_levels_are_warned_of(share, peak, words):
     assert len(said) == len(words) and all(word in line for word, line in zip(words, said))
 
 
+@pytest.mark.parametrize(
+    ("bright", "words"),
+    [
+        ([1, 2, 0.5, 1, 4, 1, 0.2, 1], []),
+        ([1, 1, 1, 255, 1, 1, 1, 1], ["not as bright as the other views: 3 (255 times)"]),
+        ([1, 1, 1, 1, 1, 1, 1 / 16, 1], ["6 (0.0625 times)"]),
+        ([1, 1, 1, 0, 1, 1], []),  # nothing but black is told elsewhere
+        ([1, 1, 100], []),
+        ([1, 100, 1, 100, 1, 100], []),
+    ],
+)
+def test_views_on_a_scale_of_their_own_are_warned_of(bright, words):
+    said: list[str] = []
+    records = [
+        FrameRecord({"saturated_fraction": 0.0, "file": f"frames/{k}.exr"}, {}, pixels=100, peak=1.0, bright=b)
+        for k, b in enumerate(bright)
+    ]
+    doubt_light(SimpleNamespace(capture=SimpleNamespace(root=Path("capture")), warn=said.append), records)
+    assert len(said) == len(words) and all(word in line for word, line in zip(words, said))
+
+
 def test_figures_of_display_values_are_of_radiance_that_a_display_shows():
     radiance = np.random.default_rng(0).uniform(0.01, 3.0, (50, 3))
     assert displayable(radiance) and displayable(np.append(np.full(95, 30.0), np.full(5, 0.5)))

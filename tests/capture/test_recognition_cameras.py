@@ -162,6 +162,23 @@ def test_metashape_with_a_term_that_is_not_read_is_refused(views, tmp_path):
         open_capture(tmp_path)
 
 
+def test_metashape_components_without_a_common_world_are_not_mixed(views, tmp_path):
+    """A component that is neither georeferenced nor merged has a world of its own."""
+    images(tmp_path, views)
+    metashape(tmp_path, views, component=True, turn=np.eye(3)[[1, 2, 0]], scale=2.0, shift=(1, 2, 3))
+    path = tmp_path / "cameras.xml"
+    text = path.read_text().replace("</components>", '<component id="1"/></components>')
+    for i in (0, 4):
+        entry = f'<camera id="{i}" sensor_id="0" component_id='
+        text = text.replace(f'{entry}"0"', f'{entry}"1"')
+    path.write_text(text.replace("</chunk>", "</chunk><chunk><cameras/></chunk>"))
+    capture = open_capture(tmp_path)
+    kept = [1, 2, 3, 5]
+    same(capture, [views[i] for i in kept], [f"{i:03d}" for i in kept])
+    told = "\n".join(capture.warnings)
+    assert "2 photographs of other components (000, 004)" in told and "the largest of its 2 chunks" in told
+
+
 def test_metashape_with_a_third_radial_term(views, tmp_path):
     images(tmp_path, views)
     metashape(tmp_path, views, distortion=(0.1, -0.02, 3e-3, 1e-3))

@@ -277,6 +277,72 @@ def test_a_linear_program_is_no_light_table(tmp_path):
     assert open_capture(tmp_path).layout == "photographs"
 
 
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda text: text.replace(",", ";"), "semicolons or tabs"),
+        (lambda text: text.replace(",", "\t"), "semicolons or tabs"),
+        (lambda text: text.split("\n", 1)[1], "it begins with numbers"),
+        (lambda text: text.replace("index,x,y,z", "light,lx,ly,lz"), "it has light,lx,ly,lz"),
+    ],
+)
+def test_a_table_without_its_columns_is_told_why(change, words, tmp_path):
+    directions = ball.write_stage(tmp_path, 4)
+    (tmp_path / "lights.csv").write_text(change(ball.lights_csv(directions)))
+    with pytest.raises(UserError, match=rf"lights\.csv: has no column .*{words}"):
+        open_capture(tmp_path)
+    (tmp_path / "lights.csv").write_bytes(ball.lights_csv(directions).encode("utf-16"))
+    with pytest.raises(UserError, match="UTF-16"):
+        open_capture(tmp_path)
+
+
+def test_masks_that_are_not_read_and_cameras_that_look_away_are_told(tmp_path):
+    directions = ball.write_stage(tmp_path, 4)
+    (tmp_path / "lights.csv").write_text(ball.lights_csv(directions))
+    assert open_capture(tmp_path).warnings == ()
+    np.save(tmp_path / "cam00" / "mask.npy", np.ones((16, 16)))
+    path = tmp_path / "cameras" / "camera00.txt"
+    path.write_text(path.read_text().replace("0 0 1 400", "0 0 1 -400"))
+    mask, away = open_capture(tmp_path).warnings
+    assert "mask.npy: is no mask that is read" in mask and "the stage's centre (0, 0, 0) lies behind cam00" in away
+
+
+@pytest.mark.parametrize("kind", ["lp", "filenames"])
+@pytest.mark.parametrize(
+    ("names", "words"),
+    [
+        (["003.png", "002.png", "O01.png", "000.png"], r"names O01\.png, which .* has not \(1 of 4 lights\)"),
+        (["003.png", "002.png", "002.png", "000.png"], r"names 002\.png twice"),
+        (["a.png", "b.png", "c.png", "d.png"], None),
+    ],
+)
+def test_names_of_a_light_table_that_miss_pictures_are_never_passed_over(kind, names, words, tmp_path):
+    """Without them light k would be picture k, whatever order the table is in."""
+    for k in range(4):
+        ball.write(tmp_path / f"{k:03d}.png", np.full((16, 16, 3), 900 * (k + 1), np.uint16))
+    rows = [f"{0.1 * k} 0.2 1" for k in range(4)]
+    if kind == "lp":
+        (tmp_path / "dome.lp").write_text("4\n" + "\n".join(f"{n} {row}" for n, row in zip(names, rows)))
+    else:
+        (tmp_path / "light_directions.txt").write_text("\n".join(rows))
+        (tmp_path / "filenames.txt").write_text("\n".join(names))
+    if words is None:
+        (line,) = open_capture(tmp_path).warnings
+        assert "none of the pictures that the table names is here (a.png, b.png" in line
+        return
+    with pytest.raises(UserError, match=words):
+        open_capture(tmp_path)
+
+
+def test_names_that_do_not_count_the_lights_are_refused(tmp_path):
+    for k in range(4):
+        ball.write(tmp_path / f"{k:03d}.png", np.full((16, 16, 3), 900 * (k + 1), np.uint16))
+    (tmp_path / "light_directions.txt").write_text("0 0 1\n0 1 1\n1 0 1\n1 1 1\n")
+    (tmp_path / "filenames.txt").write_text("000.png\n001.png\n002.png\n")
+    with pytest.raises(UserError, match=r"filenames\.txt: names 3 pictures, light_directions\.txt has 4 lights"):
+        open_capture(tmp_path)
+
+
 # ---- one framing, seen in the pictures -------------------------------------------------------------------------------
 @pytest.mark.slow
 @pytest.mark.parametrize("count", [6, 8, 13, 40])

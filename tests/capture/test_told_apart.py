@@ -17,7 +17,7 @@ from pipeline.capture.angle_stack.checks import twins
 from pipeline.capture.config import RadiometryConfig, load_config
 from pipeline.capture.pixels.linear import read_linear
 from pipeline.capture.radiometry.stated_encoding import profile_is_curved
-from pipeline.capture.recognition.one_framing import stays_in_place
+from pipeline.capture.recognition.one_framing import what_changes
 from pipeline.errors import UserError
 from pipeline.geometry.cameras import opengl_from_camera
 from stages.calib.decode.light_doubts import FrameRecord, doubt_light, share_below_zero
@@ -266,7 +266,7 @@ def test_exposures_and_angles_stay_in_place_and_views_do_not(tmp_path, step):
     for name, found in sets.items():
         for i, image in enumerate(found):
             write(tmp_path / name / f"{i}.png", codes(image))
-    assert [stays_in_place(sorted((tmp_path / name).iterdir())) for name in sets] == [True, True, False]
+    assert [what_changes(sorted((tmp_path / name).iterdir())) for name in sets] == ["gain", "gain", None]
 
 
 @pytest.mark.parametrize("count", [3, 5])

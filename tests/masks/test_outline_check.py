@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -48,6 +49,8 @@ def test_outlines_of_true_cameras_fit_to_a_fraction_of_a_pixel():
         (CAMERAS[::-1], "in the opposite order"),
         (CAMERAS[1:] + CAMERAS[:1], "of the previous picture"),
         ([CAMERAS[k] for k in sorted(range(12), key=str)], "in the order of numbers"),
+        ([turned(c, np.array([0, 0, np.pi])) for c in CAMERAS], "turned upside down"),
+        ([turned(c, np.array([0, 0, np.pi / 2])) for c in CAMERAS], "turned by 90 degrees counter-clockwise"),
     ],
 )
 def test_one_mistake_of_all_cameras_is_named(wrong, words):
@@ -59,6 +62,27 @@ def test_one_turned_camera_is_named_with_its_angle():
     wrong = [turned(c, np.radians([0, 4, 0])) if k == 5 else c for k, c in enumerate(CAMERAS)]
     found = doubt(wrong)
     assert found is not None and re.search(r": 005 \([\d.]+ px off; turned by 4.0 degrees it would fit\):", found)
+
+
+def test_a_picture_stored_upside_down_is_named():
+    found = doubt(CAMERAS, {**MASKS, "005": MASKS["005"][::-1, ::-1]})
+    assert found is not None and re.search(r": 005 \([\d.]+ px off; turned by 1(79|80)\.\d degrees it would fit\):", found)
+
+
+def others(camera) -> np.ndarray:
+    """The outline of the object after it was turned and moved."""
+    return silhouette(replace(camera, world_to_camera=camera.world_to_camera @ MOVED))
+
+
+MOVED = np.eye(4)
+MOVED[:3] = [[0.36, 0.48, -0.8, 0.1], [-0.8, 0.6, 0, 0.15], [0.48, 0.64, 0.6, -0.1]]
+
+
+@pytest.mark.parametrize("second", [range(1, 12, 2), range(6, 12), range(8, 12)])
+def test_two_objects_or_one_that_was_moved_are_told_as_that(second):
+    masks = {view: others(c) if k in second else mask for k, (c, (view, mask)) in enumerate(zip(CAMERAS, MASKS.items()))}
+    found = doubt(CAMERAS, masks)
+    assert found is not None and f"{12 - len(second)} (000" in found and f"and {len(second)} ({second[0]:03d}" in found
 
 
 def test_poor_masks_and_noisy_poses_are_not_taken_for_wrong_cameras():

@@ -82,6 +82,30 @@ def test_matches_of_sound_cameras_say_nothing():
     assert told(RINGED) is None
 
 
+def two_objects(second, share: float) -> Matches:
+    """Matches of views up to four steps apart, of which those between the objects are chance, and `share` of them are there."""
+    points = RNG.normal(size=(40, 3)) * 0.4
+    places = np.stack([camera.project(points)[0] for camera in RINGED])
+    pairs = np.array([(i, j) for i in range(12) for j in range(i + 1, 12) if min(j - i, 12 - j + i) <= 4], np.intp)
+    first, second_ = (places[pairs[:, k]].reshape(-1, 2) + RNG.normal(scale=0.3, size=(40 * len(pairs), 2)) for k in (0, 1))
+    pairs = pairs.repeat(40, 0)
+    across = np.isin(pairs, second).sum(1) == 1
+    first[across] = RNG.uniform(0, 512, (int(across.sum()), 2))
+    kept = ~across | (RNG.random(len(across)) < share)
+    return Matches(pairs[kept], first[kept], second_[kept], places.size // 2)
+
+
+@pytest.mark.parametrize("share", [1.0, 0.05])
+def test_two_objects_in_turn_are_told_as_that(share):
+    found = matches_doubt({f"{k:02d}": c for k, c in enumerate(RINGED)}, two_objects(range(1, 12, 2), share))
+    assert found is not None and "6 (00, 02, 04, 06 and 2 more) and 6 (01, 03, 05, 07 and 2 more)" in found
+
+
+def test_two_sides_of_a_board_are_no_two_objects():
+    """Neighbours at its edges show other sides."""
+    assert matches_doubt({f"{k:02d}": c for k, c in enumerate(RINGED)}, two_objects(range(6, 12), 0.05)) is None
+
+
 def test_pictures_name_a_mirrored_world():
     assert "mirrored in x" in (doubt(mirrored(LISTED, (-1, 1, 1))) or "")
 

@@ -16,6 +16,7 @@ from stages.olat.evidence.before_fits import Seen, explain, say_brightness, say_
 from stages.olat.evidence.frame_order import lambert
 from stages.olat.evidence.light_frame import spoken, surrounded, turns
 from stages.olat.evidence.light_table_faults import table_faults
+from stages.olat.evidence.odd_frames import ambient, odd_lights
 from stages.olat.evidence.pass_check import compare, pass_faults
 from stages.olat.pixel_fit.result_layout import FLAG, RESIDUAL, WIDTH
 
@@ -200,11 +201,38 @@ def test_passes_that_no_fit_survives_are_refused(change, words):
         (lambda c, p: (p, p), "are equal"),
         (lambda c, p: (c, p[::-1]), "in the reverse order"),
         (lambda c, p: (c, np.roll(p, 7, 0)), "another order"),
+        (lambda c, p: (0.5 * c, p), "2.00 times the crossed one even away from highlights"),
     ],
 )
 def test_passes_in_doubt_are_reported(change, words):
     fault, doubt = passes(change)
     assert fault is None and doubt is not None and words in doubt
+
+
+def test_directions_that_are_taken_for_places_are_doubted():
+    unit = LightTable(LIGHTS, LIGHTS, np.ones(len(LIGHTS)), None)
+    assert table_faults(unit, near=False)[1] == [] and "1 world unit" in table_faults(unit, near=True)[1][0]
+    assert table_faults(table(LIGHTS), near=True)[1] == []
+
+
+def test_single_lights_that_are_not_where_the_table_has_them_are_named():
+    light = 2 * np.pi * ball()[0].mean(-1)
+    noisy = light * (1 + 0.03 * np.random.default_rng(2).normal(size=light.shape))
+    first, *others = np.argsort(-light.mean(1))[:20]
+    second = min(others, key=lambda k: LIGHTS[k] @ LIGHTS[first])
+    swapped, mirrored = LIGHTS.copy(), LIGHTS.copy()
+    swapped[[first, second]] = swapped[[second, first]]
+    mirrored[first] *= -1
+    assert odd_lights(noisy, LIGHTS) == []
+    assert odd_lights(noisy, swapped) == sorted([first, second]) and odd_lights(noisy, mirrored) == [first]
+
+
+@pytest.mark.parametrize(("everywhere", "found"), [(0.0, False), (0.01, False), (0.1, True)])
+def test_light_that_is_in_every_frame_is_measured(everywhere, found):
+    light = ball()[0].mean(-1)
+    level = np.linalg.norm(lambert(light, LIGHTS)[0], axis=1)
+    share = ambient(light + everywhere * level, LIGHTS)
+    assert (share == pytest.approx(everywhere, rel=0.4)) if found else share == 0
 
 
 def table(directions) -> LightTable:

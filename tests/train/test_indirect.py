@@ -15,9 +15,11 @@ from pipeline.shading import Prefilter
 from stages.train import checkpoint
 from stages.train.indirect.gridmap_or_harmonics import GRIDMAP_EVERY
 from stages.train.indirect.harmonics import NAME, basis
+from stages.train.indirect.mirrored_rays import MirroredRays, Shown
 from stages.train.indirect.pixel_light import GridLight
 from stages.train.parameters import TrainParameters
 from stages.train.setup import prepare_training
+from stages.train.splats.carried_hull import CarriedHull
 from stages.train.trainer import Trainer
 from stages.train.views.source_views import SourceView
 from synth.shape import vase
@@ -98,6 +100,29 @@ def test_gridmap_gives_the_diffuse_light_everywhere_and_the_mirrored_where_the_o
     assert isinstance(here, GridLight)
     ratio = here.bounced.mean() / field.irradiance(here.normal, transmitted=True).detach().mean()
     assert 0.5 < float(ratio) < 1.5  # 0.86
+
+
+def test_rays_left_out_because_their_surroundings_see_nothing_would_have_met_next_to_nothing():
+    shape, rng = vase(96, 72), np.random.default_rng(1)
+    hull = CarriedHull(
+        RayMesh(shape.vertices, shape.faces), shape.vertices, shape.faces, shape.normals, np.arange(len(shape.vertices))
+    )
+    mirrors, count = MirroredRays(hull, 0.01), 20000
+    chosen = rng.choice(len(shape.vertices), count)
+    points, normals = (a[chosen].astype(np.float32) for a in (shape.vertices, shape.normals))
+    directions = rng.normal(size=(count, 3)).astype(np.float32)
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    directions *= np.sign((directions * normals).sum(1, keepdims=True))
+    found = mirrors.blocked(Shown(np.arange(count), points, normals, directions, directions))
+    truth = np.zeros(count, bool)
+    truth[hull.cast(np.concatenate((points + mirrors.lift * normals, directions), 1))[0]] = True
+    assert 0.1 < truth.mean() < 0.4 and not (found & ~truth).any()
+    assert found.sum() >= 0.98 * truth.sum()
+    cells = mirrors.seen.cells.copy()
+    mirrors.seen.cells[:] = 0  # nothing seen anywhere: no ray is cast
+    assert not mirrors.blocked(Shown(np.arange(count), points, normals, directions, directions)).any()
+    mirrors.seen.cells[:] = ~cells  # where nothing was seen alone
+    assert mirrors.blocked(Shown(np.arange(count), points, normals, directions, directions)).sum() == (truth & ~found).sum()
 
 
 @pytest.mark.slow

@@ -15,12 +15,15 @@ from pipeline.shading import Occlusion, Prefilter
 from stages.train.indirect.pixel_light import LearntLight
 from stages.train.indirect.trust import DISTRUST, trusted
 from stages.train.parameters import TrainParameters
+from stages.train.splats.blocked_directions import BlockedDirections
+from stages.train.splats.carried_hull import CarriedHull
 from stages.train.splats.gaussians import Splats, normal_quaternions
-from stages.train.splats.splat_occlusion import CarriedHull, SplatOcclusion, outgoing, trace_splats
+from stages.train.splats.splat_occlusion import DIFFUSE_RAYS, SplatOcclusion, outgoing, trace_splats
 from stages.train.splats.surface_graph import build_graph
 from stages.train.upkeep import CYCLE, Upkeep
 from stages.train.views.training_frame import SceneFrame
 from stages.train.views.view import prepare
+from synth.shape import vase
 
 ALBEDO, GAP = 0.8, 0.4
 
@@ -44,6 +47,21 @@ def trench() -> tuple[CarriedHull, Splats]:
     return hull, splats
 
 
+def on_vase() -> tuple[CarriedHull, Splats]:
+    """A vase with a bowl and a waist as hull, and a splat at each of its vertices."""
+    shape = vase(96, 72)
+    count = len(shape.vertices)
+    hull = CarriedHull(
+        RayMesh(shape.vertices, shape.faces), shape.vertices, shape.faces, shape.normals, np.arange(count)
+    )  # fmt: skip
+    means, facing = (torch.as_tensor(np.asarray(a), dtype=torch.float32) for a in (shape.vertices, shape.normals))
+    splats = Splats(
+        means, facing, normal_quaternions(facing), torch.full((count, 2), 0.03), torch.ones(count),
+        torch.full((count, 3), ALBEDO), torch.full((count,), 0.5), torch.full((count,), 1.5),
+    )  # fmt: skip
+    return hull, splats
+
+
 @pytest.fixture(scope="module")
 def white_sky():
     return Prefilter(8, "beckmann").apply(torch.ones(6, 8, 8, 3))
@@ -59,7 +77,7 @@ def bounced_deep_inside(light, bounces: int) -> float:
 
 def test_a_wall_in_shadow_sends_less_than_under_the_whole_sky(white_sky):
     _, splats = trench()
-    whole = SplatOcclusion(torch.ones(450, 3), torch.zeros(450, 3), 0.0)
+    whole = SplatOcclusion(torch.ones(450, 3), torch.zeros(450, 3), 0.0, BlockedDirections(splats.means.numpy(), 0.1))
     towards = np.array([[0.0, 0.0, -1.0]], np.float32)
     open_wall = float(outgoing(splats, np.array([112]), towards, white_sky, "exact", whole).mean()) * np.pi
     once, twice, thrice = (bounced_deep_inside(white_sky, n) for n in (1, 2, 3))
@@ -67,10 +85,28 @@ def test_a_wall_in_shadow_sends_less_than_under_the_whole_sky(white_sky):
     assert once > thrice  # one bounce takes the other wall to lie under the whole sky
 
 
+def test_rays_that_need_no_casting_are_those_that_meet_nothing(white_sky, monkeypatch):
+    hull, splats = on_vase()
+    graph, cast = build_graph(splats.means, splats.normals), []
+    packed = RayMesh.blocked_packed
+
+    def traced():
+        cast.clear()
+        return trace_splats(hull, splats, white_sky, graph, 0, "exact")
+
+    monkeypatch.setattr(RayMesh, "blocked_packed", lambda self, rays: cast.append(len(rays)) or packed(self, rays))
+    some, few = traced(), sum(cast)
+    monkeypatch.setattr(BlockedDirections, "settle", lambda self: setattr(self, "cells", ~np.zeros_like(self.cells)))
+    every, all_ = traced(), sum(cast)
+    assert all_ == len(splats.means) * DIFFUSE_RAYS and few < 0.7 * all_
+    assert every.blocked * 0.98 < some.blocked <= every.blocked
+    assert float((some.shadow - every.shadow).abs().mean()) < 0.01
+
+
 def test_a_wall_without_sky_sends_on_what_reaches_it_from_the_object(white_sky):
     _, splats = trench()
-    dark = SplatOcclusion(torch.zeros(450, 3), torch.full((450, 3), np.pi), 1.0)
-    whole = SplatOcclusion(torch.ones(450, 3), torch.zeros(450, 3), 0.0)
+    dark = SplatOcclusion(torch.zeros(450, 3), torch.full((450, 3), np.pi), 1.0, BlockedDirections(splats.means.numpy(), 0.1))
+    whole = SplatOcclusion(torch.ones(450, 3), torch.zeros(450, 3), 0.0, BlockedDirections(splats.means.numpy(), 0.1))
     towards = np.array([[0.0, 0.6, -0.8]], np.float32)
     sent = [float(outgoing(splats, np.array([3]), towards, white_sky, "exact", r).mean()) for r in (dark, whole)]
     assert sent[0] == pytest.approx(sent[1], rel=0.12)  # as bright all around as the sky, which is transmitted at 0.91

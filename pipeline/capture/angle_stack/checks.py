@@ -7,6 +7,8 @@ from numpy.typing import NDArray
 
 MISFIT = 0.25
 """Of the polarised part: residuals that are smooth and this large come from wrong angles, not from noise."""
+OTHER_PICTURES = 0.1
+"""Of the light: residuals from which the pictures may be of different things altogether."""
 MOVED = 0.25
 """Of the local contrast: residuals this large at edges are a shift of a quarter of a pixel, not noise."""
 
@@ -15,6 +17,12 @@ def residuals(samples: NDArray[np.float32], design: NDArray[np.float64]) -> NDAr
     """What no Stokes vector explains of samples [n, R, W, C]."""
     projector = (np.eye(len(design)) - design @ np.linalg.pinv(design)).astype(np.float32)
     return (projector @ samples.reshape(len(samples), -1)).reshape(samples.shape)
+
+
+def unexplained(samples: NDArray[np.float32], design: NDArray[np.float64]) -> float:
+    """What no Stokes vector explains of samples [n, R, W, C], of their light (root mean squares)."""
+    light = float(np.sqrt(np.mean(np.square(samples, dtype=np.float64))))
+    return float(np.sqrt(np.mean(np.square(residuals(samples, design), dtype=np.float64)))) / max(light, 1e-300)
 
 
 def sample_noise(samples: NDArray[np.float32], design: NDArray[np.float64]) -> float:

@@ -9,7 +9,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.capture.angle_stack.checks import angles_misfit, moved, sample_noise, twins
+from pipeline.capture.angle_stack.checks import (
+    OTHER_PICTURES,
+    angles_misfit,
+    moved,
+    sample_noise,
+    twins,
+    unexplained,
+)
 from pipeline.capture.angle_stack.movement import edge_strength, largest_shift, registered
 from pipeline.capture.angle_stack.solve import StackSolver, design_covariance, polariser_design
 from pipeline.capture.config import CaptureConfig, PolariserConfig
@@ -24,6 +31,7 @@ from pipeline.capture.pixels.row_bands import ROWS, LinearReader
 from pipeline.capture.pixels.stokes_files import finished
 from pipeline.capture.pixels.stokes_frame import apply_stokes_config
 from pipeline.capture.radiometry.of_file import factor_of
+from pipeline.capture.recognition.one_framing import moves
 from pipeline.errors import UserError
 
 LOOKED_AT = 100_000
@@ -34,6 +42,10 @@ MISNAMED = (
 )
 
 TWINS = "two angles are the same picture in every digit: check that the filter was turned, and that no file was copied twice"
+OTHER_VIEWS = (
+    "what the pictures show is elsewhere from angle to angle: stops of a turntable, or another object? Then say "
+    'layout = "photographs" in capture.toml, or give each picture its own view'
+)
 MIXED = "some angles are 8-bit files, taken as sRGB, and others linear: export all alike"
 
 
@@ -70,7 +82,9 @@ def read_stack(group: Group, config: CaptureConfig, polariser: PolariserConfig |
         view.faults[TWINS] = 0
     if len(design) > 3:
         view.noise = sample_noise(rows, design)
-        if angles_misfit(rows, design):
+        if unexplained(rows, design) > OTHER_PICTURES and moves(group.paths):
+            view.faults[OTHER_VIEWS] = 0
+        elif angles_misfit(rows, design):
             view.faults[MISNAMED] = 0
         elif moved(rows, design):
             view.moved = largest_shift(group, config)

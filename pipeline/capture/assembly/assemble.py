@@ -13,14 +13,13 @@ from pipeline.capture.model import Capture, Polarisation, ViewSource
 from pipeline.capture.naming.beside_images import PLATES
 from pipeline.capture.naming.files import (
     PHOTO_SUFFIXES,
-    check_masks,
     find_environments,
-    find_masks,
     list_images,
     polariser_priors,
     sorted_views,
 )
-from pipeline.formats.images import channel_names
+from pipeline.capture.naming.masks import check_masks, find_masks
+from pipeline.formats.images import channel_names, read_stored
 from pipeline.geometry.cameras import Camera
 
 MAY_HOLD_ALPHA = frozenset({".png", ".tif", ".tiff", ".exr"})
@@ -28,12 +27,14 @@ MAY_HOLD_ALPHA = frozenset({".png", ".tif", ".tiff", ".exr"})
 
 @dataclass(frozen=True)
 class Pictures:
-    """The image folder, the files in it that may be views, their cameras where a file tells them, and what to say."""
+    """The image folder, the files in it that may be views, their cameras where a file tells them, and what to say;
+    `cameras_told`: of camera files that are not read too."""
 
     folder: Path
     paths: list[Path]
     table: CameraTable | None
     warnings: tuple[str, ...]
+    cameras_told: bool = False
 
 
 def assemble(
@@ -71,21 +72,36 @@ def assemble(
     check_masks(masks, lambda view: sizes[view] or (0, 0))
     plates, plate_files = find_plates(root, config, views)
     environments = find_environments(root)
-    alpha = not masks and all_have_alpha(views)
+    alpha, words = (False, []) if masks else alpha_of(views)
     return Capture(
         root, layout, "multiview", polarisation, views, environments=environments, config=config, up=config.up or "y",
         cameras=dict(cameras) if cameras is not None else None, masks=masks or ("alpha" if alpha else None),
         colmap=table.model if table is not None else None,
         files=(*camera_files, *(p for v in views for p in v.paths), *masks.values(), *plate_files, *environments),
         polarisers=polariser_priors([v.camera for v in views], config) if polarisation == "polarisers" else {},
-        warnings=tuple(warnings + more), facts=facts, clean_plates=plates,
+        warnings=tuple(warnings + more + words), facts=facts, clean_plates=plates,
     )  # fmt: skip
 
 
-def all_have_alpha(views: Sequence[ViewSource]) -> bool:
-    """Whether every view's image carries an alpha channel (headers only)."""
+def alpha_of(views: Sequence[ViewSource]) -> tuple[bool, list[str]]:
+    """Whether every view's image carries an alpha channel (headers only); and a line where some images cut the object out in
+    theirs and others have none: then nothing is taken from it."""
     files = [v.paths[0] for v in views if not v.paged and v.paths[0].suffix.lower() in MAY_HOLD_ALPHA]
-    return bool(views) and len(files) == len(views) and all("A" in channel_names(p, plain=True) for p in files)
+    there = [p for p in files if "A" in channel_names(p, plain=True)]
+    if len(there) == len(views):
+        return bool(views), []
+    cut = next((p for p in there if _cuts_out(p)), None)
+    if cut is None:
+        return False, []
+    have = f"{len(there)} of {len(views)} images have an alpha (such as {cut.name}), the others none"
+    return False, [f"{cut.parent}: {have}: it is not used as masks; cut all of them out, or give masks/ named like the views"]
+
+
+def _cuts_out(path: Path) -> bool:
+    """Whether an image's alpha is not the same all over."""
+    pixels, names, _ = read_stored(path)
+    alpha = pixels[..., names.index("A")] if "A" in names else pixels[:0]
+    return bool(alpha.size and alpha.min() < alpha.max())
 
 
 def find_plates(root: Path, config: CaptureConfig, views: tuple[ViewSource, ...]) -> tuple[dict[str, Path], tuple[Path, ...]]:

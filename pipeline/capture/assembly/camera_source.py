@@ -16,7 +16,7 @@ from pipeline.capture.model import ViewSource
 from pipeline.capture.naming.files import IMAGE_FOLDERS, UNDISTORTED, count, subfolders
 from pipeline.errors import UserError
 from pipeline.formats.arrays import array_names, read_arrays
-from pipeline.formats.colmap import find_models, model_files, read_model, registered_images
+from pipeline.formats.colmap import find_models, forms_differ, model_files, read_model, registered_images
 from pipeline.geometry.camera_check import check_camera
 from pipeline.geometry.cameras import Camera
 
@@ -73,6 +73,9 @@ def _colmap(near: list[Path], root: Path, folder: Path) -> CameraTable | None:
             f"{place}: this model of {count(names, 'image')} is used and {sizes} left out: "
             "each has a world of its own; check that it is the right one, or find all cameras in one model"
         )
+    if forms_differ(place, model):
+        fault = "holds the model twice, as binary and as text, and they differ: the binary one is used"
+        warnings.append(f"{place}: {fault}; remove the one that is out of date")
     cameras = list(model.cameras.values())
     return CameraTable(
         place, "COLMAP", names, len(names), lambda i, _: cameras[i], model_files(place), model=place, warnings=tuple(warnings)

@@ -21,6 +21,7 @@ from pipeline.errors import UserError
 from pipeline.formats.image_parts import Page
 from pipeline.formats.images import channel_names, image_size
 
+LOSSY = frozenset({".jpg", ".jpeg"})
 Camera_of = Callable[[Group], str]
 
 
@@ -185,5 +186,8 @@ def _mosaics(groups: list[Group], config: CaptureConfig, camera_of: Camera_of) -
         ViewSource(g.view, g.paths, camera_of(g), mosaic_loader(g, known.config, colour), size_of(g.paths[0])) for g in groups
     )
     order = " ".join(f"{a:g}" for a in config.mosaic.order[:2]) + " / " + " ".join(f"{a:g}" for a in config.mosaic.order[2:])
+    lossy = [p for g in groups for p in g.paths if p.suffix.lower() in LOSSY]
+    spoilt = "JPEG mixes neighbours, which in a mosaic stand behind other polarisers: save the sensor's files as PNG or TIFF"
+    warnings = (*known.warnings, *([f"{lossy[0]}: {spoilt}"] if lossy else []))
     what = f"polariser mosaic {order} ({'quad-Bayer ' + config.mosaic.bayer if colour == 'bayer' else 'monochrome'})"
-    return Sources("mosaic", views, tuple(groups), (what, *known.facts), warnings=known.warnings)
+    return Sources("mosaic", views, tuple(groups), (what, *known.facts), warnings=warnings)

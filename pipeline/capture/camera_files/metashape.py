@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -50,38 +51,67 @@ def read(path: Path) -> CameraTable:
     frame), b1, k1 k2 k3 p1 p2 are Metashape's, whose p1 and p2 stand the other way round than OpenCV's.
     """
     try:
-        chunk = ElementTree.parse(path).getroot().find("chunk")
-        if chunk is None:
+        chunks = ElementTree.parse(path).getroot().findall("chunk")
+        if not chunks:
             raise ValueError("no <chunk>")
-        sensors = {s.get("id", ""): s for s in chunk.iter("sensor")}
-        places = {c.get("id", ""): _place(c.find("transform")) for c in chunk.iter("component")}
-        world = _place(chunk.find("transform"))
-        names, cameras, unplaced = [], [], []
-        for element in chunk.iter("camera"):
-            label = element.get("label", "")
-            transform = element.find("transform")
-            if transform is None or not (transform.text or "").strip():
-                unplaced.append(label)
-                continue
-            pose = _numbers(transform, 16).reshape(4, 4)
-            place = world if world is not None else places.get(element.get("component_id", ""))
-            names.append(label)
-            cameras.append((_world_to_camera(pose, place), element.get("sensor_id", "")))
-        lenses = {key: _sensor(sensors[key], path) for key in {s for _, s in cameras}}
+        found = [_aligned(chunk) for chunk in chunks]
+        chosen = max(range(len(chunks)), key=lambda k: len(found[k][0]))
+        cameras, unplaced = found[chosen]
+        sensors = {s.get("id", ""): s for s in chunks[chosen].iter("sensor")}
+        lenses = {key: _sensor(sensors[key], path) for key in {c.sensor for c in cameras}}
     except (ElementTree.ParseError, ValueError, KeyError) as error:
         fault = f"is no camera file that Metashape exports ({type(error).__name__}: {error})"
         raise UserError(path, fault, "export it again, or export a COLMAP model") from None
     if not cameras:
         raise UserError(path, "holds no aligned camera", "align the photographs, or move the file away")
+    kept = [c for c in cameras if c.world == Counter(c.world for c in cameras).most_common(1)[0][0]]
 
     def camera(index: int, size: Size) -> Camera:
-        pose, key = cameras[index]
-        lens = lenses[key]
-        return Camera(*lens.size, *lens.focal, *lens.centre, pose, lens.distortion, lens=lens.model)
+        lens = lenses[kept[index].sensor]
+        return Camera(*lens.size, *lens.focal, *lens.centre, kept[index].pose, lens.distortion, lens=lens.model)
 
-    unaligned = f"{count(unplaced, 'photograph')} not aligned by Metashape ({some(unplaced)})"
-    warning = f"{path}: {unaligned}; left out: check their alignment there"
-    return CameraTable(path, "Metashape", tuple(names), len(names), camera, (path,), warnings=(warning,) if unplaced else ())
+    warnings = _left_out(path, len(chunks), [c.label for c in cameras if c not in kept], unplaced)
+    return CameraTable(path, "Metashape", tuple(c.label for c in kept), len(kept), camera, (path,), warnings=tuple(warnings))
+
+
+@dataclass(frozen=True, eq=False)
+class _Aligned:
+    """A photograph's label, camera from world [4, 4], sensor, and the component whose own world that is ("": the chunk's)."""
+
+    label: str
+    pose: NDArray[np.float64]
+    sensor: str
+    world: str
+
+
+def _aligned(chunk: ElementTree.Element) -> tuple[list[_Aligned], list[str]]:
+    """The cameras of a chunk, and the labels of those that were not aligned. Raises ValueError."""
+    places = {c.get("id", ""): _place(c.find("transform")) for c in chunk.iter("component")}
+    world = _place(chunk.find("transform"))
+    cameras, unplaced = [], []
+    for element in chunk.iter("camera"):
+        label, component = element.get("label", ""), element.get("component_id", "")
+        transform = element.find("transform")
+        if transform is None or not (transform.text or "").strip():
+            unplaced.append(label)
+            continue
+        place = world if world is not None else places.get(component)
+        pose = _world_to_camera(_numbers(transform, 16).reshape(4, 4), place)
+        cameras.append(_Aligned(label, pose, element.get("sensor_id", ""), component if place is None else ""))
+    return cameras, unplaced
+
+
+def _left_out(path: Path, chunks: int, apart: list[str], unplaced: list[str]) -> list[str]:
+    lines = []
+    if unplaced:
+        unaligned = f"{count(unplaced, 'photograph')} not aligned by Metashape ({some(unplaced)})"
+        lines.append(f"{path}: {unaligned}; left out: check their alignment there")
+    if apart:
+        other = f"{count(apart, 'photograph')} of other components ({some(apart)})"
+        lines.append(f"{path}: {other}, each of which has a world of its own; left out: merge the components in Metashape")
+    if chunks > 1:
+        lines.append(f"{path}: the largest of its {chunks} chunks is used: check that it is the right one, or export it alone")
+    return lines
 
 
 def _numbers(element: ElementTree.Element, length: int) -> NDArray[np.float64]:

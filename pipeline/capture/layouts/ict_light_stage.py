@@ -19,7 +19,7 @@ from pipeline.capture.light_stage.frames import PassFrames, left_out_fact, one_p
 from pipeline.capture.light_stage.given_cameras import GivenCameras, given_cameras
 from pipeline.capture.light_stage.read_light_table import read_light_table, table_beside
 from pipeline.capture.model import Capture, LightStage, LightStageCamera, Passes
-from pipeline.capture.naming.files import find_environments
+from pipeline.capture.naming.files import find_environments, some
 from pipeline.errors import UserError
 from pipeline.geometry.camera_check import check_camera
 from pipeline.geometry.cameras import OPENGL_FROM_OPENCV, Camera
@@ -90,7 +90,24 @@ def read(root: Path, config: CaptureConfig, beside: GivenCameras | None = None) 
         masks={name: camera.mask for name, camera in cameras.items() if camera.mask is not None} or None,
         files=tuple([*files, *environments]),
         facts=tuple(facts),
+        warnings=tuple([*_masks_not_read(dict(folders), cameras), *(_looking_away(cameras, root) if given is None else [])]),
     )
+
+
+def _masks_not_read(folders: dict[str, CameraFolders], cameras: dict[str, LightStageCamera]) -> list[str]:
+    """A line for a mask of a kind that is not read, where a camera has no other."""
+    bare = [folders[name].home for name, camera in cameras.items() if camera.mask is None]
+    found = [p for home in bare for p in sorted(home.iterdir()) if p.stem.lower() == "mask" and p.is_file()]
+    return [f"{found[0]}: is no mask that is read, and a matte is made: write mask.png, white on the object"] if found else []
+
+
+def _looking_away(cameras: dict[str, LightStageCamera], root: Path) -> list[str]:
+    """A line where most cameras have the stage's centre, which is the origin of their files, behind them."""
+    behind = [name for name, c in cameras.items() if float(c.camera.project(np.zeros(3))[1]) < 0]
+    if len(behind) <= len(cameras) / 2:
+        return []
+    fault = f"the stage's centre (0, 0, 0) lies behind {some(behind)}"
+    return [f"{camera_file(root, behind[0])}: {fault}: check that its matrix is camera to world, with OpenGL's axes"]
 
 
 def _refuse_mixed_passes(folders: dict[str, CameraFolders]) -> None:

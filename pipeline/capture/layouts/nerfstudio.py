@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 from typing import Any
 
-from pipeline.capture.assembly.assemble import all_have_alpha, find_plates
+from pipeline.capture.assembly.assemble import alpha_of, find_plates
 from pipeline.capture.assembly.sources import discover
 from pipeline.capture.camera_files.transforms_json import FILE, NerfFrame, captures_below, held_out, load_frames, table_files
 from pipeline.capture.config import CaptureConfig
@@ -18,16 +18,15 @@ from pipeline.capture.naming.files import (
     IMAGE_FOLDERS,
     IMAGE_SUFFIXES,
     UNREADABLE,
-    check_masks,
     count,
     find_environments,
-    find_masks,
     list_images,
     polariser_priors,
     some,
     sorted_views,
 )
 from pipeline.capture.naming.grouping import Group
+from pipeline.capture.naming.masks import check_masks, find_masks
 from pipeline.capture.recognition.stray_files import sort_out
 from pipeline.errors import UserError
 from pipeline.formats.bare_arrays import ARRAY_SUFFIXES
@@ -36,6 +35,7 @@ from pipeline.geometry.cameras import Camera, camera_from_frame
 
 DEFAULT_CAMERA = "camera"
 CHECK = "check the file_path of its frames"
+CHECK_CAMERA = "check whose polariser they are behind"
 MISPLACED = "put the images where file_path says"
 
 
@@ -93,22 +93,28 @@ def read(root: Path, config: CaptureConfig) -> Capture:
     if not masks:
         masks, more = find_masks(root, {v.view: v.paths[0] for v in views}, folder)
         warnings += more
+    elif len(masks) < len(views):
+        without = [v.view for v in views if v.view not in masks]
+        warnings.append(f"{where}: no mask_path for {count(without, 'view')} ({some(without)}): these are segmented")
     for mask in masks.values():
         if not mask.is_file():
             raise UserError(mask, f"named in {where.name} but not there", "add it or remove its mask_path")
     check_masks(masks, lambda view: (cameras[view].width, cameras[view].height))
-    polarised = bool(config.polarisers) or any("camera" in frame.entry for frame in frames)
+    nameless = [frame.entry["file_path"] for frame in frames if "camera" not in frame.entry]
+    polarised = bool(config.polarisers) or len(nameless) < len(frames)
+    if 0 < len(nameless) < len(frames):
+        warnings.append(f"{where}: {count(nameless, 'frame')} ({some(nameless)}) name no camera, others do: {CHECK_CAMERA}")
     kind: Polarisation = "stokes" if sources.holds_stokes else "polarisers" if polarised else "none"
     plates, plate_files = find_plates(root, config, tuple(views))
     environments = find_environments(root)
-    alpha = not masks and all_have_alpha(views)
+    alpha, words = (False, []) if masks else alpha_of(views)
     name = {"stokes_files": "stokes_transforms", "colour": f"{'polarisers' if polarised else 'rgb'}_transforms"}
     cameras_from = "cameras: " + ", ".join(_below(p, root) for p in files)
     facts = sources.facts if files == [root / FILE] else (*sources.facts, cameras_from)
     return Capture(
         root, name.get(sources.kind, f"{sources.kind}_transforms"), "multiview", kind, sorted_views(views),
         environments=environments, config=config, up=config.up or "y", cameras=cameras, parts=held_out(parts),
-        masks=masks or ("alpha" if alpha else None), warnings=tuple(warnings), facts=facts, clean_plates=plates,
+        masks=masks or ("alpha" if alpha else None), warnings=(*warnings, *words), facts=facts, clean_plates=plates,
         polarisers=polariser_priors([v.camera for v in views], config) if kind == "polarisers" else {},
         files=(*files, *(p for v in views for p in v.paths), *masks.values(), *plate_files, *environments),
     )  # fmt: skip

@@ -20,7 +20,7 @@ from pipeline.capture.light_stage.frame_numbers import numbered
 from pipeline.capture.light_stage.frames import PassFrames, frame_offset, frames_by_name, left_out_fact, one_pass_facts
 from pipeline.capture.light_stage.read_light_table import read_light_table, table_beside
 from pipeline.capture.model import Capture, LightStage, LightStageCamera
-from pipeline.capture.naming.files import IMAGE_SUFFIXES, find_environments, image_folder, list_images
+from pipeline.capture.naming.files import IMAGE_SUFFIXES, find_environments, image_folder, list_images, some
 from pipeline.errors import UserError
 from pipeline.formats.images import image_size
 from pipeline.geometry.cameras import Camera, camera_from_opengl
@@ -67,7 +67,16 @@ def read(root: Path, config: CaptureConfig) -> Capture:
         light_stage=LightStage(root, {CAMERA: found}, lights), environments=environments, config=config, up=config.up or "y",
         cameras={CAMERA: camera}, masks={CAMERA: mask} if mask else None, files=tuple([*files, *environments]),
         facts=tuple([*left_out_fact({CAMERA: frames}), *one_pass_facts({CAMERA: found}), *placed]),
+        warnings=tuple(_unnamed(lights, pictures, tables[-1])),
     )  # fmt: skip
+
+
+def _unnamed(lights: LightTable, pictures: list[Path], table: Path) -> list[str]:
+    """A line where a table names pictures and none of them is here, so that lights go by number or in order."""
+    if lights.names is None or frames_by_name(pictures, lights.names, table) is not None:
+        return []
+    fault = f"none of the pictures that the table names is here ({some(lights.names)})"
+    return [f"{table}: {fault}: lights go to pictures in the order of their names; check it, or give them the table's names"]
 
 
 def list_pictures(folder: Path) -> list[Path]:
@@ -77,18 +86,26 @@ def list_pictures(folder: Path) -> list[Path]:
 
 def frames_of(pictures: list[Path], lights: LightTable, folder: Path, table: Path, first: int | None) -> PassFrames:
     """Each light's picture: by the names that the table tells, by number, or in order. Raises UserError."""
-    named = frames_by_name(pictures, lights.names)
+    named = frames_by_name(pictures, lights.names, table)
     if named is not None:
         return PassFrames(named)
     frames = [p for p in pictures if not NO_LIGHT.search(p.stem)]
+    if not pictures:
+        places = sorted({p.parent.relative_to(folder).as_posix() for p in list_images(folder, IMAGE_SUFFIXES)})
+        fault = f"holds the pictures of {len(lights)} lights in folders that are not called as passes are ({some(places)})"
+        raise UserError(folder, fault, f"call them cross and parallel; {WAY}")
     if len(frames) < len(lights):
         fault = f"lists {len(lights)} lights, but {folder} has {len(frames)} pictures"
         raise UserError(table, fault, f"add the missing pictures; {WAY}")
     if len(frames) == len(lights) and lights.index is None:
         return PassFrames(tuple(frames))
+    if lights.index is None and first is None:
+        fault = f"lists {len(lights)} lights, but {folder} has {len(frames)} pictures, and nothing says which are theirs"
+        remedy = f"move the others away, or name each light's picture in filenames.txt beside {table.name}"
+        raise UserError(table, fault, remedy)
     found = numbered(frames)
     index = np.arange(len(lights)) if lights.index is None else lights.index
-    offset = first if first is not None else frame_offset(index, sorted(found), folder, table)
+    offset = first if first is not None else frame_offset(index, sorted(found), folder, table, leading=0)
     missing = [int(k) + offset for k in index if int(k) + offset not in found]
     if missing:
         raise UserError(folder, f"lacks picture {missing[0]} of {len(lights)} lights", "copy the missing pictures")

@@ -9,11 +9,13 @@ from pipeline.capture.assembly.assemble import Pictures, assemble, folder_camera
 from pipeline.capture.assembly.camera_source import camera_table
 from pipeline.capture.assembly.sources import Sources, discover
 from pipeline.capture.camera_files.table import stem_parts
+from pipeline.capture.camera_files.unnamed import cameras_under_other_names
 from pipeline.capture.config import CaptureConfig
 from pipeline.capture.layouts import Layout
 from pipeline.capture.model import Capture, Polarisation
 from pipeline.capture.naming.beside_images import is_beside, outside_images
 from pipeline.capture.naming.files import (
+    IMAGE_FOLDERS,
     IMAGE_SUFFIXES,
     RAW_SUFFIXES,
     UNREADABLE,
@@ -27,7 +29,7 @@ from pipeline.capture.naming.grouping import Group
 from pipeline.capture.recognition.foreign import refuse_without_pictures
 from pipeline.capture.recognition.one_framing import changes_light
 from pipeline.capture.recognition.repeated_framing import repeated_framing_words
-from pipeline.capture.recognition.stray_files import folder_of_products, sort_out
+from pipeline.capture.recognition.stray_files import folder_of_products, refuse_products, sort_out
 from pipeline.errors import UserError
 from pipeline.formats.bare_arrays import ARRAY_SUFFIXES
 
@@ -60,7 +62,18 @@ def pictures(root: Path, config: CaptureConfig) -> Pictures:
     table, warned = camera_table(root, folder)
     stems = {stem_parts(name)[-1] for name in table.names if stem_parts(name)} if table is not None and table.names else set()
     chosen = sort_out(found, folder, stems)
-    return Pictures(folder, chosen.kept, table, (*chosen.warnings(), *warned, *_raw_twins(root, folder, chosen.kept)))
+    refuse_products(chosen.kept, folder)
+    beside = _raw_twins(root, folder, chosen.kept) or _other_folders(root, folder)
+    return Pictures(folder, chosen.kept, table, (*chosen.warnings(), *warned, *beside), cameras_told=bool(warned))
+
+
+def _other_folders(root: Path, folder: Path) -> list[str]:
+    """A line where another folder of pictures, by a name that image folders have, lies beside the one that is used."""
+    idle = [root / name for name in IMAGE_FOLDERS if root / name != folder and has_images(root / name)]
+    if not idle or folder not in [root / name for name in IMAGE_FOLDERS]:
+        return []
+    there = count(list_images(idle[0]), "picture")
+    return [f"{idle[0]}: its {there} are not used, those in {folder.name}/ are: move them there if they are views, or away"]
 
 
 def _raw_twins(root: Path, folder: Path, kept: list[Path]) -> list[str]:
@@ -96,6 +109,8 @@ def read_as(root: Path, config: CaptureConfig, layout: str, kind: str) -> Captur
     polarisation = "stokes" if sources.holds_stokes else "polarisers" if config.polarisers else "none"
     capture = assemble(root, layout, config, folder, sources.views, polarisation, facts=sources.facts, table=table, look=False)
     warnings = [*found.warnings, *sources.warnings, *capture.warnings]
+    if table is None and not found.cameras_told:
+        warnings += cameras_under_other_names(root, folder)
     if sources.kind == "colour":
         warnings += repeated_framing_words(found.paths, folder)
     if folder == root and all(folder_of_products(p, root) for p in found.paths):

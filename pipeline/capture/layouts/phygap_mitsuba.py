@@ -9,7 +9,8 @@ import numpy as np
 from pipeline.capture.config import CaptureConfig
 from pipeline.capture.layouts import Layout
 from pipeline.capture.model import Capture, ViewSource
-from pipeline.capture.naming.files import check_masks, count, find_environments, find_masks, list_images, some, sorted_views
+from pipeline.capture.naming.files import count, find_environments, list_images, some, sorted_views
+from pipeline.capture.naming.masks import check_masks, find_masks
 from pipeline.capture.pixels.stokes_files import stokes_exr_loader
 from pipeline.errors import UserError
 from pipeline.formats.arrays import read_arrays

@@ -13,15 +13,14 @@ from pipeline.capture.config import CaptureConfig
 from pipeline.capture.layouts import Layout
 from pipeline.capture.model import Capture, ViewSource
 from pipeline.capture.naming.files import (
-    check_masks,
     find_environments,
-    find_masks,
     image_folder,
     list_images,
     polariser_priors,
     sorted_views,
 )
 from pipeline.capture.naming.grouping import group_and_rest
+from pipeline.capture.naming.masks import check_masks, find_masks
 from pipeline.capture.radiometry.across_folders import even_out_across
 from pipeline.capture.recognition.stray_files import Sorted, sort_out
 from pipeline.errors import UserError

@@ -31,6 +31,26 @@ def folder_beside(root: Path) -> Path | None:
     return found
 
 
+def idle_words(capture: Capture) -> list[str]:
+    """Say what beside a capture's views looks like a light stage and is none of it.
+
+    Args:
+        capture: of views, as recognised.
+
+    Returns:
+        A line where its folder olat/ has no light table, or where a light table lies beside views that have cameras.
+    """
+    if capture.kind != "multiview" or folder_beside(capture.root) is not None:
+        return []
+    lines = []
+    for folder in (p for p in sorted(capture.root.iterdir()) if p.name.lower() == OLAT and p.is_dir()):
+        if table_beside(folder) is None and stage_folders(folder):
+            lines.append(f"{folder}: holds passes of a light stage and no light table, and is not used: add lights.csv to it")
+    if (table := table_beside(capture.root)) is not None:
+        lines.append(f"{table}: a light table beside views is not used: put a light stage of theirs into {OLAT}/ with it")
+    return lines
+
+
 def read_beside(views: Capture, folder: Path) -> Capture:
     """Open the light stage beside a capture's views.
 

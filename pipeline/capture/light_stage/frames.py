@@ -34,7 +34,7 @@ def pass_frames(folder: Path, lights: LightTable, table: Path, first: int | None
     Raises UserError when frames are missing, empty, or their numbers do not fit the table.
     """
     paths = frame_files(folder)
-    named = frames_by_name(paths, lights.names)
+    named = frames_by_name(paths, lights.names, table)
     if named is not None:
         rest = tuple(p for p in paths if p not in set(named))
         return PassFrames(_not_empty(named), left_out=rest)
@@ -51,13 +51,15 @@ def pass_frames(folder: Path, lights: LightTable, table: Path, first: int | None
     return PassFrames(_not_empty(frames), tuple(found[k] for k in outside), tuple(found[k] for k in sorted(between)))
 
 
-def frame_offset(index: NDArray[np.int64], numbers: Sequence[int], folder: Path, table: Path) -> int:
+def frame_offset(
+    index: NDArray[np.int64], numbers: Sequence[int], folder: Path, table: Path, leading: int = LEADING_FRAMES
+) -> int:
     """What is added to a light's index to get its frame's number. Raises UserError where the numbers leave it open.
 
     Frames may be 0..R-1; 2..R+1, with two leading and two trailing ones or without; 1..R; or named by index. R counts
     the rig's lights up to the last in the table: an index may be missing (a light that did not fire), so that light i
     is found by its index, never by its row. A pass that begins at 0 is whole or has no leading frames: a table that is a
-    few rows short must not shift the lights by two.
+    few rows short must not shift the lights by two. leading: how many frames under all lights a pass may begin with.
     """
     low, high = int(index.min()), int(index.max())
     first, last = numbers[0], numbers[-1]
@@ -67,12 +69,12 @@ def frame_offset(index: NDArray[np.int64], numbers: Sequence[int], folder: Path,
         count = high - base + 1
         if first == 0 and last == count - 1:
             sure.add(-base)
-        elif (first, last) in ((0, count + 2 * LEADING_FRAMES - 1), (LEADING_FRAMES, count + LEADING_FRAMES - 1)):
-            sure.add(LEADING_FRAMES - base)
+        elif leading and (first, last) in ((0, count + 2 * leading - 1), (leading, count + leading - 1)):
+            sure.add(leading - base)
         elif first == 1 and last == count:
             sure.add(1 - base)
-        elif first > 0 and count + LEADING_FRAMES - 1 <= last < count + 2 * LEADING_FRAMES:
-            possible.add(LEADING_FRAMES - base)
+        elif leading and first > 0 and count + leading - 1 <= last < count + 2 * leading:
+            possible.add(leading - base)
     if set(numbers) == set(index.tolist()) or (low > 1 and first == low and last == high):
         sure.add(0)
     chosen = sure or possible
@@ -84,15 +86,26 @@ def frame_offset(index: NDArray[np.int64], numbers: Sequence[int], folder: Path,
     raise UserError(table, fault, f"{remedy}: first_frame = 2 under [olat] in capture.toml")
 
 
-def frames_by_name(paths: list[Path], names: tuple[str, ...] | None) -> tuple[Path, ...] | None:
-    """The frames that a table names, in its order; None where it names none, or they are not all here by name."""
+def frames_by_name(paths: list[Path], names: tuple[str, ...] | None, table: Path) -> tuple[Path, ...] | None:
+    """The frames that a table names, in its order; None where it names none, or none of them is here by name.
+
+    Raises UserError where it names one twice, or one that is not here while others are: by number or in order, as where no
+    name tells, each light's frame might be another's.
+    """
     if names is None:
         return None
     stems = {p.stem.lower(): p for p in paths}
-    wanted = [_stem(name) for name in names]
-    if len(set(wanted)) == len(wanted) and all(stem in stems for stem in wanted):
-        return tuple(stems[stem] for stem in wanted)
-    return None
+    wanted = {_stem(name): name for name in names}
+    lost = [name for stem, name in wanted.items() if stem not in stems]
+    if len(lost) == len(wanted):
+        return None
+    if len(wanted) < len(names):
+        twice = next(name for k, name in enumerate(names) if _stem(name) in map(_stem, names[:k]))
+        raise UserError(table, f"names {twice} twice", "name each light's own picture")
+    if lost:
+        fault = f"names {some(lost)}, which {paths[0].parent} has not ({len(lost)} of {len(wanted)} lights)"
+        raise UserError(table, fault, "correct the names, or copy the missing pictures")
+    return tuple(stems[stem] for stem in wanted)
 
 
 def _stem(name: str) -> str:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from pipeline.capture.config import CaptureConfig
 from pipeline.capture.model import PolariserPrior, ViewSource
 from pipeline.errors import UserError
 from pipeline.formats.bare_arrays import ARRAY_SUFFIXES
-from pipeline.formats.images import channel_names, image_size, read_image
 
 FLOAT_SUFFIXES = frozenset({".exr", ".hdr"})
 PHOTO_SUFFIXES = frozenset({".png", ".tif", ".tiff", ".jpg", ".jpeg", ".bmp", ".tga", ".pgm", ".ppm", ".pnm", ".pfm", ".webp"})
@@ -34,6 +33,7 @@ UNREADABLE = {
     **{s: f"{s[1:].upper()} {REWRITE}" for s in (".jp2", ".dpx")},
 }
 """Kinds of pictures that nobody here reads, with the way out of each."""
+ARCHIVES = frozenset({".zip", ".7z", ".rar", ".tar", ".gz", ".tgz", ".xz", ".bz2", ".zst"})
 DUMPS = frozenset({".bin", ".dat", ".mat", ".bayer", ".yuv", ".fit", ".fits"})
 """Samples without a header that says what they are, or arrays: pictures where they lie in an image folder."""
 MASK_FOLDERS = ("masks", "mask")
@@ -41,8 +41,6 @@ OLAT = "olat"
 """Folder, lower case, of a light stage beside the views of the same object."""
 ASIDE = frozenset({*MASK_FOLDERS, "gt", "envmaps", OLAT})
 """Folders, lower case, of what lies beside a capture's images."""
-BETWEEN = 0.1
-"""Share of a mask's samples that are neither black nor white, at most: soft edges."""
 IMAGE_FOLDERS = ("images", "images_full", "image", "raw", "photos")
 UNDISTORTED = frozenset({"dense", "undistorted"})
 """Folders in which COLMAP writes undistorted images, with the model that belongs to them."""
@@ -122,86 +120,6 @@ def find_environments(root: Path) -> tuple[Path, ...]:
     if not folder.is_dir():
         return ()
     return tuple(sorted(p for p in folder.iterdir() if p.suffix.lower() in FLOAT_SUFFIXES and not p.name.startswith(".")))
-
-
-def mask_folders(root: Path) -> list[Path]:
-    """Folders named as masks are, whatever their case, the usual names first."""
-    found = [p for p in root.iterdir() if p.name.lower() in MASK_FOLDERS and p.is_dir()]
-    return sorted(found, key=lambda p: (p.name not in MASK_FOLDERS, MASK_FOLDERS.index(p.name.lower()), p.name))
-
-
-def masks_under_other_names(root: Path, views: Mapping[str, Path], folder: Path) -> list[str]:
-    """A line where another folder holds a black and white picture for every view, as masks under another name are."""
-    stems = {path.stem for path in views.values()}
-    for place in sorted(p for p in root.iterdir() if p.is_dir() and not p.name.startswith(".")):
-        if place.name.lower() in ASIDE or folder.is_relative_to(place):
-            continue
-        pictures = sorted(p for p in place.iterdir() if p.suffix.lower() == ".png" and p.stem in stems)
-        if len(pictures) >= max(2, len(stems)) and all(map(_is_black_and_white, pictures[:2])):
-            return [f"{place}: a black and white picture for every view: if these are masks, name the folder masks/ (not used)"]
-    return []
-
-
-def _is_black_and_white(path: Path) -> bool:
-    """Whether a picture has one channel, and hardly a sample between its darkest and its brightest."""
-    if len(channel_names(path)) > 1:
-        return False
-    samples = read_image(path)
-    low, high = float(samples.min()), float(samples.max())
-    between = (samples > low + 0.1 * (high - low)) & (samples < high - 0.1 * (high - low))
-    return high > low and float(between.mean()) < BETWEEN
-
-
-def find_masks(root: Path, views: Mapping[str, Path], folder: Path) -> tuple[dict[str, Path], list[str]]:
-    """Mask files by VIEW from masks/ or mask/, under any of the usual names, and warnings for views without one.
-
-    `views` maps VIEW to its image, `folder` is the image folder. COLMAP's IMAGE.EXT.png is understood too.
-    """
-    between = [p for p in (folder, *folder.parents) if p != root and p.is_relative_to(root) and p.name not in IMAGE_FOLDERS]
-    places = [place for home in (root, *between) for place in mask_folders(home)]
-    where = next((place for place in places if has_images(place, PHOTO_SUFFIXES)), None)
-    if where is None:
-        return {}, masks_under_other_names(root, views, folder)
-    by_stem: dict[str, Path] = {}
-    for path in list_images(where, PHOTO_SUFFIXES):
-        name = path.relative_to(where).with_suffix("").as_posix()
-        by_stem.setdefault(name, path)
-        by_stem.setdefault(name.replace("/", "_"), path)
-    found: dict[str, Path] = {}
-    for view, image in views.items():
-        relative = image.relative_to(folder)
-        for stem in (relative.with_suffix("").as_posix(), relative.as_posix(), view):
-            if stem in by_stem:
-                found[view] = by_stem[stem]
-                break
-    if not found:
-        sample = list_images(where, PHOTO_SUFFIXES)[0].name
-        first = next(iter(views.values())).name
-        raise UserError(
-            where, f"none of its masks belongs to an image (mask {sample}, image {first})", "name each mask like its image"
-        )
-    missing = sorted(set(views) - set(found))
-    warnings = []
-    if missing:
-        fault = f"no mask for {count(missing, 'view')} ({some(missing)})"
-        shifted = len(set(by_stem.values())) == len(views) and len(missing) < len(views) / 2
-        doubt = " (as many masks as views: are they counted from another number, and each mask the next view's?)" * shifted
-        warnings.append(f"{where}: {fault}; they are segmented: check the names of the masks{doubt}")
-    spare = len({id(p) for p in by_stem.values()}) - len(set(found.values()))
-    if spare > 0:
-        warnings.append(f"{where}: {spare} masks belong to no image and are ignored: check their names")
-    return found, warnings
-
-
-def check_masks(masks: Mapping[str, Path], size_of: Callable[[str], tuple[int, int]]) -> None:
-    """Raise UserError for a mask of another size than its image (sizes in pixels, from headers)."""
-    for view, mask in masks.items():
-        have, want = image_size(mask), size_of(view)
-        if have != want:
-            turned = " (turned by 90°: images are read as stored, without EXIF rotation)" if have == want[::-1] else ""
-            raise UserError(
-                mask, f"is {have[0]}x{have[1]}, its image is {want[0]}x{want[1]}{turned}", "make the mask in the image's size"
-            )
 
 
 def polariser_priors(cameras: Iterable[str], config: CaptureConfig) -> dict[str, PolariserPrior]:

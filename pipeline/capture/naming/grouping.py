@@ -15,10 +15,9 @@ from pipeline.capture.naming.files import some
 from pipeline.errors import UserError
 from pipeline.formats.image_parts import Page
 
-ANGLE = re.compile(
-    r"^(?P<view>.+?)[_\-. ]?(?:pol|lp|angle|ang|deg|a|p)?[_\-]?(?P<angle>\d{1,3}(?:[.]\d+)?)(?:deg|°)?$", re.IGNORECASE
-)
-ANGLE_ALONE = re.compile(r"^(?:pol|lp|angle|ang|a|p|i)?[_\-]?(?P<angle>\d{1,3}(?:[.]\d+)?)(?:deg|°)?$", re.IGNORECASE)
+_NUMBER, _WORDS = r"[_\-]?(?P<angle>\d{1,3}(?:[.]\d+)?)(?:deg|°)?$", "polari[sz]er|polar|pol|lp|angle|ang|deg|a|p"
+ANGLE = re.compile(rf"^(?P<view>.+?)[_\-. ]?(?:{_WORDS})?{_NUMBER}", re.IGNORECASE)
+ANGLE_ALONE = re.compile(rf"^(?:{_WORDS}|i)?{_NUMBER}", re.IGNORECASE)
 EXPOSURE = re.compile(
     r"^(?P<view>.+?)[_\- ](?:ev(?P<ev>[+-]?\d+(?:\.\d+)?)|exp(?:osure)?[_\-]?(?P<seconds>\d*\.?\d+)s?|t(?P<t>\d*\.\d+)s?)$",
     re.IGNORECASE,

@@ -21,6 +21,10 @@ def balance(light: NDArray[np.float32], radiometry: RadiometryConfig) -> None:
         light *= np.asarray(radiometry.white_balance, np.float32)
 
 
+NO_LIGHT = frozenset({"a", "z", "zback", "depth", "id", "mask"})
+"""Names, lower case, of a lone channel that is no picture."""
+
+
 @dataclass
 class LinearImage:
     """Linear pixels [H, W, C] float32 with their channel names; saturated [H, W]; orientation is EXIF's (1 upright);
@@ -60,7 +64,7 @@ class LinearImage:
         if all(name in lower for name in "rgb"):
             return self.channels(("R", "G", "B"), path)
         grey = [name for name in self.names if name.lower() in ("y", "l", "i", "gray", "luminance")]
-        if grey or len(self.names) == 1:
+        if grey or (len(self.names) == 1 and lower[0] not in NO_LIGHT):
             return np.repeat(self.channels((grey or [self.names[0]])[:1], path), 3, axis=-1)
         raise UserError(path, f"no colour channels (it has {', '.join(self.names)})", "export R, G, B or S0.R .. S2.B")
 

@@ -36,7 +36,7 @@ class LinearReader:
         self.path, self.radiometry = path, radiometry
         self._image = open_image(path, page, unassociated=page is not None, plain=True)
         spec = self._image.spec()
-        self.bits = {"uint8": 8, "uint16": 16, "uint32": 32}.get(str(spec.format), 0)
+        self.bits = {"uint8": 8, "uint16": 16, "uint": 32}.get(str(spec.format), 0)
         if self.bits and "A" in spec.channelnames:
             self._image.close()
             self._image = open_image(path, page, unassociated=True, plain=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,13 +15,22 @@ from pipeline.capture.config import CaptureConfig, RadiometryConfig
 from pipeline.capture.naming.files import RAW_SUFFIXES, count, some
 from pipeline.capture.naming.grouping import Exposure, Group
 from pipeline.capture.radiometry.code_range import some_of
+from pipeline.capture.radiometry.curve_in_codes import curve_in_codes
 from pipeline.capture.radiometry.encoding import find_encoding, impossible_share, mosaic_codes, stack_codes
 from pipeline.capture.radiometry.exposure import HeaderExposure, even_out, exposure_of, read_exposure
 from pipeline.capture.radiometry.of_file import FoundRadiometry, factor_of
-from pipeline.capture.radiometry.stated_encoding import mixed_words, stated_curve, stated_words
-from pipeline.capture.radiometry.white_level import white_level
+from pipeline.capture.radiometry.stated_encoding import (
+    integer_words,
+    linear_words,
+    mixed_words,
+    stated_curve,
+    stated_words,
+    unstated_words,
+)
+from pipeline.capture.radiometry.white_level import codes_of, white_level
 from pipeline.errors import UserError
 from pipeline.formats.images import open_image, srgb_decode
+from pipeline.formats.png_curve import png_states_linear
 
 if TYPE_CHECKING:
     from pipeline.capture.pixels.linear_image import LinearImage
@@ -41,6 +50,8 @@ class _Header:
     bits: int
     exposure: HeaderExposure
     curve: str | None = None
+    linear: bool = False
+    kind: str = ""
 
 
 def understand(groups: Sequence[Group], config: CaptureConfig, kind: str, bayer: bool = False) -> Understood:
@@ -70,14 +81,20 @@ def understand(groups: Sequence[Group], config: CaptureConfig, kind: str, bayer:
     files = [(e.path, e) for g in groups for es in g.angles.values() for e in es if e.path.suffix.lower() not in RAW_SUFFIXES]
     headers |= {p: _header(e) for p, e in files if p not in headers}
     bits = {headers[p].bits for p, _ in files}
-    if bits == {16} and radiometry.white_level is None and radiometry.encoding != "srgb":
-        white, words, remarks = white_level([e for _, e in files])
+    linear = bits == {16} and radiometry.encoding != "srgb"
+    open_ = None in (radiometry.white_level, radiometry.encoding)
+    codes = codes_of([e for _, e in files]) if linear and open_ else []
+    if linear and radiometry.white_level is None:
+        white, words, remarks = white_level([e for _, e in files], codes)
         found = found if white is None else replace(found, white_level=white)
         warnings += words
         facts += remarks
+    if radiometry.white_level is None:
+        warnings += integer_words({p: headers[p].kind for p, _ in files})
     if radiometry.encoding is None and kind != "mosaic":
-        warnings += mixed_words({p: headers[p].bits for p, _ in files})
-        warnings += stated_words({p: h.curve for p, h in headers.items() if h.curve and h.bits == 16})
+        words, remarks = _of_encoding(headers, [p for p, _ in files], codes, kind)
+        warnings += words
+        facts += remarks
     if radiometry.encoding is None and bits and bits <= {8, 16} and kind in ("stack", "mosaic"):
         encodings, words = _encodings(groups, replace(config, radiometry=found), kind, bayer, bits == {8})
         found = replace(found, encodings=encodings)
@@ -87,6 +104,20 @@ def understand(groups: Sequence[Group], config: CaptureConfig, kind: str, bayer:
     return Understood(replace(config, radiometry=found), tuple(facts), tuple(warnings))
 
 
+def _of_encoding(
+    headers: Mapping[Path, _Header], files: Sequence[Path], codes: Sequence[NDArray[np.uint16]], kind: str
+) -> tuple[list[str], list[str]]:
+    """(warnings, facts) of how codes stand for light, from what headers say, and 16-bit `codes` where these say nothing."""
+    said = mixed_words({p: headers[p].bits for p in files})
+    stated = {p: h.curve for p, h in headers.items() if h.curve and h.bits == 16}
+    if kind == "colour":
+        said += linear_words([p for p, h in headers.items() if h.linear and h.bits == 8])
+    if stated or kind != "colour" or not codes:
+        return said + stated_words(stated), []
+    words, facts = unstated_words(files[0], curve_in_codes(codes))
+    return said + words, facts
+
+
 def _header(exposure: Exposure) -> _Header:
     path = exposure.path
     if path.suffix.lower() in RAW_SUFFIXES:
@@ -94,7 +125,9 @@ def _header(exposure: Exposure) -> _Header:
     image = open_image(path, exposure.page)
     spec = image.spec()
     image.close()
-    return _Header({"uint8": 8, "uint16": 16}.get(str(spec.format), 0), exposure_of(spec), stated_curve(spec))
+    linear = path.suffix.lower() == ".png" and png_states_linear(path)
+    bits = {"uint8": 8, "uint16": 16}.get(str(spec.format), 0)
+    return _Header(bits, exposure_of(spec), stated_curve(spec), linear, str(spec.format))
 
 
 def brightness(exposure: Exposure, config: CaptureConfig, kind: str) -> NDArray[np.float64] | None:

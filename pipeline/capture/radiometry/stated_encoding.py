@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,8 @@ CURVES = (b"rTRC", b"gTRC", b"kTRC")
 EXIF_SPACES = {1: "sRGB", 2: "Adobe RGB"}
 STRAIGHT = 0.02
 """How far the middle of a table may lie off a straight line, of its end; the curve of sRGB lies 0.29 below."""
+FULL_SCALE = {"int8": 127, "int16": 32767, "int": 2**31 - 1, "uint": 2**32 - 1}
+"""Of samples, as OpenImageIO calls them."""
 KINDS = {0: "float", 8: "8 bits", 16: "16 bits", 32: "32 bits"}
 
 
@@ -61,6 +63,39 @@ def stated_words(curves: Mapping[Path, str]) -> list[str]:
         f"{first}{_others(len(curves))}: {curves[first]} is of a display, but 16-bit files are read as linear light: "
         'export them linear, or say so in capture.toml: radiometry.encoding = "srgb" (or "linear", if the header is wrong)'
     ]
+
+
+def integer_words(formats: Mapping[Path, str]) -> list[str]:
+    """A warning where files hold integers that no camera writes as they are (`formats`: the samples' types, as "int32")."""
+    odd = {path: kind for path, kind in formats.items() if kind in FULL_SCALE}
+    if not odd:
+        return []
+    first, kind = next(iter(odd.items()))
+    return [
+        f"{first}{_others(len(odd))}: holds {kind} samples, which are read as parts of {FULL_SCALE[kind]}: a sensor's codes "
+        "are hardly any light then; export 16-bit (uint16) or float files"
+    ]
+
+
+def linear_words(paths: Sequence[Path]) -> list[str]:
+    """A warning where 8-bit files, which are read as sRGB, state that they are linear light."""
+    if not paths:
+        return []
+    return [
+        f"{paths[0]}{_others(len(paths))}: states linear light, but 8-bit files are read as sRGB: export 16 bits, or "
+        'say so in capture.toml: radiometry.encoding = "linear" (or "srgb", if the header is wrong)'
+    ]
+
+
+def unstated_words(first: Path, evidence: str | None) -> tuple[list[str], list[str]]:
+    """(warnings, facts) where 16-bit pictures say nothing of how they are coded. evidence: by what they look coded."""
+    say = 'say radiometry.encoding = "srgb" in capture.toml'
+    if evidence is None:
+        return [], [f"16-bit files are read as linear light: if a converter or viewer wrote them for a display, {say}"]
+    return [
+        f"{first}: these 16-bit files {evidence}, and are read as linear light: export them linear, or {say} "
+        '("linear", if they are)'
+    ], []
 
 
 def mixed_words(bits: Mapping[Path, int]) -> list[str]:

@@ -1,4 +1,4 @@
-"""The white level of a capture's 16-bit files, from their codes."""
+"""The codes of a capture's 16-bit files, and the white level that they tell."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from pipeline.formats.image_parts import without_alpha
 from pipeline.formats.images import open_image
 
 
-def white_level(files: Sequence[Exposure]) -> tuple[float | None, list[str], list[str]]:
-    """The code that full samples have in 16-bit `files`, where fewer bits are in use (else None), with warnings and facts."""
+def codes_of(files: Sequence[Exposure]) -> list[NDArray[np.uint16]]:
+    """Codes of some of the 16-bit `files`, without alpha; none where capture.toml tells their format ([raw])."""
 
     def codes(e: Exposure) -> NDArray[np.uint16]:
         image = open_image(e.path, e.page, unassociated=True)
@@ -30,9 +30,16 @@ def white_level(files: Sequence[Exposure]) -> tuple[float | None, list[str], lis
     own = getattr(first, "white_level", None)
     size = first.spec().width * first.spec().height * first.spec().nchannels
     first.close()
+    return [] if own is not None else [codes(e) for e in some_of(list(dict.fromkeys(files)), size)]
+
+
+def white_level(files: Sequence[Exposure], samples: Sequence[NDArray[np.uint16]]) -> tuple[float | None, list[str], list[str]]:
+    """The code that full samples have in 16-bit `files`, where fewer bits are in use (else None), with warnings and facts."""
+    first = open_image(files[0].path, files[0].page)
+    own = getattr(first, "white_level", None)
+    first.close()
     if own is not None:
         return own, [], []  # set by raw.format
-    samples = [codes(e) for e in some_of(list(dict.fromkeys(files)), size)]
     found = code_range(samples)
     if found is None:
         used = bits_used(samples)

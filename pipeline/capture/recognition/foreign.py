@@ -7,7 +7,16 @@ from collections import defaultdict
 from pathlib import Path
 
 from pipeline.capture.model import Capture
-from pipeline.capture.naming.files import DUMPS, IMAGE_FOLDERS, IMAGE_SUFFIXES, UNREADABLE, count, some
+from pipeline.capture.naming.files import (
+    ARCHIVES,
+    DUMPS,
+    FLOAT_SUFFIXES,
+    IMAGE_FOLDERS,
+    IMAGE_SUFFIXES,
+    UNREADABLE,
+    count,
+    some,
+)
 from pipeline.errors import UserError
 
 MOST_LOOKED_AT = 20_000
@@ -49,16 +58,43 @@ def foreign_warnings(capture: Capture) -> list[str]:
         elif path.suffix.lower() in UNREADABLE and not path.name.startswith("."):
             kinds[UNREADABLE[path.suffix.lower()]].append(path)
     lines = [f"{found[0].parent}: left out {some(p.name for p in found)}: {way}" for way, found in kinds.items()]
+    maps = _children(capture.root / "envmaps")
+    used = {p.stem for p in maps if p.suffix.lower() in FLOAT_SUFFIXES}  # a picture of the same name is its preview
+    idle = sorted(p.name for p in maps if p.suffix.lower() in IMAGE_SUFFIXES - FLOAT_SUFFIXES and p.stem not in used)
+    if idle:
+        lines.append(f"{capture.root / 'envmaps'}: left out {some(idle)}: a map is linear: give it as .hdr or .exr")
+    if not capture.environments and capture.views and (beside := _maps_elsewhere(capture)):
+        lines.append(f"{beside[0].parent}: holds {some(p.name for p in beside)}: to relight with it, name the folder envmaps/")
     if resources:
         named = some(p.name for p in resources)
         lines.append(f"{resources[0].parent}: left out {named}: macOS resource files, no images; delete them (dot_clean)")
     return lines
 
 
+MAP_FOLDERS = frozenset({"env", "envs", "envmap", "env_maps", "environment", "environments", "hdri", "hdris", "hdr"})
+
+
+def _maps_elsewhere(capture: Capture) -> list[Path]:
+    """Maps in a folder whose name nearly says so, none of them a picture of a view."""
+    used = {path for view in capture.views for path in view.paths}
+    there = [q for p in _children(capture.root) if p.name.lower() in MAP_FOLDERS for q in sorted(_children(p))]
+    return [p for p in there if p.suffix.lower() in FLOAT_SUFFIXES and p not in used]
+
+
+def _children(folder: Path) -> list[Path]:
+    return [p for p in folder.iterdir() if not p.name.startswith(".")] if folder.is_dir() else []
+
+
 BESIDE_VIEWS = (
     "masks", "mask", "sparse", "colmap", "cameras*.npz", "cameras.xml", "*_par.txt", "bundle.out", "poses_bounds.npy",
 )  # fmt: skip
 """What lies beside a capture's pictures and tells that there were some."""
+
+
+def refuse_dataset(root: Path) -> None:
+    """Raise UserError where a folder is what the stages write, not what they read."""
+    if (root / "dataset.json").is_file() and any((root / name).exists() for name in ("in_use.json", "decode", "poses")):
+        raise UserError(root, "is a dataset that was made from a capture", "give CAPTURE= the capture's own folder")
 
 
 def refuse_without_pictures(root: Path) -> None:
@@ -81,11 +117,12 @@ def refuse_unreadable(root: Path) -> None:
         if path.name.startswith(".") or suffix in IMAGE_SUFFIXES or not path.is_file():
             continue
         dump = suffix in DUMPS and (path.parent == root or path.relative_to(root).parts[0] in IMAGE_FOLDERS)
-        if suffix in UNREADABLE or dump:
+        if suffix in UNREADABLE or dump or suffix in ARCHIVES:
             found[suffix].append(path)
     if not found:
         return
     suffix, files = max(found.items(), key=lambda item: len(item[1]))
     files.sort()
-    way = UNREADABLE.get(suffix, "write the samples as 16-bit PNG or TIFF, one file a picture (lossless)")
+    way = "unpack them" if suffix in ARCHIVES else "write the samples as 16-bit PNG or TIFF, one file a picture (lossless)"
+    way = UNREADABLE.get(suffix, way)
     raise UserError(files[0], f"{suffix} files are not read, and there are no other images ({len(files)} of them)", way)

@@ -6,11 +6,15 @@ import difflib
 from collections.abc import Iterable
 from dataclasses import fields
 
-from pipeline.capture.config import MosaicConfig, OlatConfig, RadiometryConfig, RawConfig, StackConfig
+from pipeline.capture.config import MosaicConfig, OlatConfig, RadiometryConfig, RawConfig, StackConfig, StokesConfig
 from pipeline.capture.model import Capture
 from pipeline.capture.naming.files import some
+from pipeline.capture.radiometry.exposure import known_seconds
 from pipeline.errors import UserError
+from pipeline.geometry.camera_check import SHORTEST_FOCAL
 
+SAME_ANGLE_DEG = 5.0
+"""Between polarisers: less tells hardly any polarisation."""
 ARRAYS = frozenset({"rmvp3d", "smvp3d"})
 """Layouts of NumPy files that hold Stokes vectors in radiance."""
 
@@ -30,9 +34,16 @@ def refuse_idle_tables(capture: Capture) -> None:
     pair = [name for name in config.poses.scale_pair or () if name not in views]
     if pair:
         raise UserError(config.path, f"poses.scale_pair: no view is called {some(map(repr, pair))}", _nearest(pair[0], views))
+    longest = max((max(v.size) for v in capture.views if v.size is not None), default=0)
+    if config.poses.focal_px is not None and config.poses.focal_px < SHORTEST_FOCAL * longest:
+        fault = f"poses.focal_px = {config.poses.focal_px:g} is no focal length of pictures of {longest} pixels"
+        raise UserError(config.path, fault, "give it in pixels: millimetres x pixels / millimetres of the sensor's width")
     if config.mosaic != MosaicConfig() and not _fact(capture, "polariser mosaic"):
         fault = f"[mosaic] is set, but the images were understood as {_kind(capture)}"
         raise UserError(config.path, fault, "give the sensor's single-channel files, or take the table out")
+    if config.stokes != StokesConfig() and capture.polarisation != "stokes":
+        fault = f"[stokes] is set, but the images were understood as {_kind(capture)}, without Stokes vectors"
+        raise UserError(config.path, fault, "take the table out, or give images that hold them")
     if config.stack != StackConfig() and not _fact(capture, "stacks behind"):
         fault = f"[stack] is set, but the images were understood as {_kind(capture)}"
         raise UserError(config.path, fault, "name the angle of each file, or take the table out")
@@ -49,6 +60,28 @@ def refuse_idle_tables(capture: Capture) -> None:
     if plate is not None and not capture.clean_plates and capture.views:
         fault = f"clean_plate: no picture in {plate} is named like a view or a camera"
         raise UserError(config.path, fault, "give one picture, or name them like the views or the cameras")
+
+
+def polarisers_alike(capture: Capture) -> list[str]:
+    """A line where every camera's polariser is known to stand at one angle, so that no polarisation can be told."""
+    known = [p.angle_deg for p in capture.polarisers.values() if p.trusted and p.angle_deg is not None]
+    if capture.polarisation != "polarisers" or not 2 <= len(known) == len(capture.polarisers):
+        return []
+    if max(abs((angle - known[0] + 90) % 180 - 90) for angle in known) > SAME_ANGLE_DEG:
+        return []
+    fault = f"the polarisers of {some(sorted(capture.polarisers))} all stand at {known[0] % 180:g} degrees"
+    return [f"{capture.config.path}: {fault}: nothing tells polarisation then; check the angles, or say trusted = false"]
+
+
+def exposures_for_some(capture: Capture) -> list[str]:
+    """A line where exposure_s tells some of a capture's views, and the others are taken as they are beside them."""
+    known = capture.config.radiometry.exposure_s
+    single = [v for v in capture.views if len(v.paths) == 1]
+    silent = [v.view for v in single if known_seconds(v.paths[0], v.view, known) is None]
+    if not known or not silent or len(silent) == len(single):
+        return []
+    fault = f"radiometry.exposure_s tells {len(single) - len(silent)} of {len(single)} views (not {some(silent)})"
+    return [f"{capture.config.path}: {fault}: the others are taken as if exposed for 1 s; give each its exposure"]
 
 
 def _refuse_idle_polarisers(capture: Capture) -> None:

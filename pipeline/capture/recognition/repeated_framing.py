@@ -7,11 +7,15 @@ from collections import defaultdict
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from pipeline.capture.naming.files import count, some
-from pipeline.capture.recognition.one_framing import FEWEST, stays_in_place
+from pipeline.capture.naming.files import some
+from pipeline.capture.recognition.one_framing import FEWEST, what_changes
 
-FEWEST_NAMES, MOST_NAMES = 3, 12
-"""Pictures of a view; two are a pair of cameras as a rule."""
+FEWEST_NAMES, MOST_NAMES = 2, 12
+"""Pictures of a view; two are a pair of cameras as a rule, in which things move."""
+FEWEST_ANGLES = 3
+"""Of a polariser, that tell a Stokes vector."""
+FEWEST_FEW = 3
+"""Pictures of one framing, where they are all: two tell too little."""
 LOOKED_AT = 3
 """Views whose pictures are compared."""
 LAST_WORD = re.compile(r"^(.+)[_\- ]([^_\- ]+)$")
@@ -25,19 +29,41 @@ def repeated_framing_words(paths: Sequence[Path], folder: Path) -> list[str]:
     stems = {path.relative_to(folder).with_suffix("").as_posix(): path for path in paths}
     for split in (_last_word, _first_folder, _last_folder):
         sets = _full_sets(stems, split)
-        if sets and all(stays_in_place([found[name] for name in sorted(found)]) for found in list(sets.values())[:LOOKED_AT]):
+        looked = [[found[name] for name in sorted(found)] for found in list(sets.values())[:LOOKED_AT]]
+        kinds = [what_changes(pictures) for pictures in looked]
+        light = "light" in kinds  # of which some come from behind
+        if sets and kinds.count(None) <= (len(kinds) // LOOKED_AT if light else 0):
             names = sorted(next(iter(sets.values())))
-            fault = f"{count(paths, 'picture')} are taken as a view each, but those that differ in {some(names)} alone"
-            return [
-                f"{folder}: {fault} show one framing ({len(sets)} of them): angles or exposures? Name the angles "
-                "under [stack.angles_deg] in capture.toml, exposures as _ev+1, or check that they are views"
-            ]
-    if FEWEST_NAMES <= len(paths) < FEWEST and stays_in_place(sorted(paths)):
+            return [_several_of_each(folder, names, len(sets), len(paths), light)]
+    kind = what_changes(sorted(paths)) if FEWEST_FEW <= len(paths) < FEWEST else None
+    if kind == "gain":
         return [
             f"{folder}: its {len(paths)} pictures show one framing, in which light becomes brighter or darker and nothing "
             "moves: angles, exposures or lights of one view? Name them so, or check that they are views"
         ]
+    if kind == "light":
+        return [
+            f"{folder}: its {len(paths)} pictures show one framing under changing light: lights of a light stage that lacks "
+            "its light table, and no views, of which a model needs eight; add the table (docs/light_stage.md), or check that "
+            "they are views"
+        ]
     return []
+
+
+def _several_of_each(folder: Path, names: Sequence[str], sets: int, paths: int, light: bool) -> str:
+    fault = f"{paths} pictures are taken as a view each, but those that differ in {some(names)} alone show one framing"
+    if light:
+        remedy = (
+            " under changing light: a light stage's? It needs a light table (docs/light_stage.md); or check that they are views"
+        )
+    elif len(names) < FEWEST_ANGLES:
+        remedy = ": two angles of a polariser? A third makes Stokes vectors of them; of two, give one as the views"
+    else:
+        remedy = (
+            ": angles or exposures? Name the angles under [stack.angles_deg] in capture.toml, exposures as _ev+1, or check "
+            "that they are views"
+        )
+    return f"{folder}: {fault} ({sets} of them){remedy}"
 
 
 def _full_sets(stems: dict[str, Path], split: Split) -> dict[str, dict[str, Path]]:

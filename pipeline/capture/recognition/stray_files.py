@@ -17,12 +17,11 @@ from pipeline.capture.naming.files import IMAGE_FOLDERS, RAW_SUFFIXES, some
 from pipeline.errors import UserError
 from pipeline.formats.images import image_size
 
-MAPS = "ground truth and maps"
+MAPS, MASKS = "ground truth and maps", "masks"
+PRODUCTS = "polarisation products (DoLP, AoLP, Stokes or unpolarised pictures)"
 KINDS: Mapping[str, str] = {
     "previews and thumbnails": "preview previews thumb thumbs thumbnail thumbnails proxy proxies contactsheet screenshot eadir",
-    "polarisation products (DoLP, AoLP, Stokes or unpolarised pictures)": (
-        "dolp aolp dop aop docp stokes s0 s1 s2 unpol unpolarised unpolarized nopol nopolariser nopolarizer"
-    ),
+    PRODUCTS: ("dolp aolp dop aop docp stokes s0 s1 s2 unpol unpolarised unpolarized nopol nopolariser nopolarizer"),
     "calibration pictures": (
         "checkerboard checkerboards chessboard chessboards checker charuco calib calibration calibrations colorchecker "
         "colourchecker macbeth greycard graycard"
@@ -30,7 +29,7 @@ KINDS: Mapping[str, str] = {
     "dark, flat and bias frames": (
         "dark darkframe darks darkframes flat flatfield flats flatfields bias blackframe blackframes"
     ),
-    "masks": "mask masks matte mattes silhouette silhouettes segmentation trimap",
+    MASKS: "mask masks matte mattes silhouette silhouettes segmentation trimap",
     MAPS: "gt groundtruth normal normals normalmap depth depths depthmap disparity albedo roughness",
 }
 """What a word in a name says of a file."""
@@ -60,6 +59,8 @@ def left_out_line(paths: Iterable[Path], reason: str) -> str:
     """The warning that names files which were left out."""
     listed = sorted(paths)
     remedy = "move them out of the image folder, or check that they are no views"
+    if reason == MASKS:
+        remedy = "to use them, put them into masks/, named like their views"
     return f"{listed[0].parent}: left out {some(p.name for p in listed)}: {reason}; {remedy}"
 
 
@@ -78,6 +79,16 @@ def sort_out(paths: list[Path], folder: Path, named_views: Collection[str] = ())
         kept = plain
     kept = _without_copies(kept, named_views, left_out)
     return Sorted(kept, {reason: tuple(sorted(found)) for reason, found in left_out.items()})
+
+
+def refuse_products(paths: Collection[Path], folder: Path) -> None:
+    """Raise UserError where all pictures are Stokes components, DoLP or AoLP, several of each view: no pictures of light."""
+    words = {path: telling_word(path, folder) for path in paths}
+    found = sorted({word for word in words.values() if word is not None and WORDS[word] == PRODUCTS})
+    if len(found) > 1 and all(word in found for word in words.values()):
+        fault = f"holds nothing but {PRODUCTS}: {', '.join(found)}, and no picture tells their scale and zero"
+        remedy = "give the pictures behind each angle, or Stokes vectors as EXR with channels S0.R .. S2.B (docs/captures.md)"
+        raise UserError(folder, fault, remedy)
 
 
 def words_of(name: str) -> list[str]:

@@ -10,10 +10,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.capture.naming.files import some
 from pipeline.engine.stage import StageRun
 
 MANY_CLIPPED = 0.05
 """Share of all samples that are saturated, from which the exposure is in doubt: highlights and a bright sky take 0.002."""
+OTHER_SCALE = 12.0
+"""Of the views' typical light, from which one is on a scale of its own: the least slip of formats is 16 (12 bits in 16), and
+views of one scene, into the sun and away from it, differ by less in what nine tenths of the picture are darker than."""
+FEW, FEWEST_VIEWS = 0.25, 4
+"""Share of the views up to which they are the odd ones, and views that tell what is usual."""
 FAINT = 1e-18  # of the brightest sample, below which its square is no normal number of single precision (1e-38)
 MUCH_BELOW = 0.1
 """Of the light above 0, that below it: noise around a black level of 2 % of the object's light makes 0.03 where nine tenths of
@@ -34,6 +40,7 @@ class FrameRecord:
     black: bool = False
     peak: float = 0.0
     below_zero: float = 0.0
+    bright: float = 0.0
     polarised: bool | None = None
     moved: tuple[float, Path] | None = None
 
@@ -45,6 +52,14 @@ def share_below_zero(light: NDArray[np.float32]) -> float:
     mean = mean[np.isfinite(mean)]
     above = float(np.maximum(mean, 0).sum())
     return float(-np.minimum(mean, 0).sum()) / above if above > 0 else 0.0
+
+
+def bright_light(light: NDArray[np.float32]) -> float:
+    """What a tenth of the lit pixels of light [H, W, 3] exceed (the colours' mean; of large images a part); 0 where none is."""
+    step = max(1, min(light.shape[:2]) // LOOKED_AT)
+    mean = light[::step, ::step].mean(-1, dtype=np.float64)
+    lit = mean[np.isfinite(mean) & (mean > 0)]
+    return float(np.percentile(lit, 90)) if lit.size else 0.0
 
 
 def polarised_at_all(stokes: NDArray[np.float32] | None) -> bool | None:
@@ -74,11 +89,27 @@ def _doubt_levels(stage: StageRun, records: Sequence[FrameRecord]) -> None:
             f"{root}: {share} (median of the views), which no light does: check the export, and black_level and dark_frame in "
             "capture.toml"
         )
+    _doubt_scales(stage, records)
     peak = max((r.peak for r in records), default=0.0)
     if 0 < peak < FAINT:
         stage.warn(
             f"{root}: the brightest sample is {peak:.0e}: single precision loses digits of so faint radiance; "
             "check its units, and [stokes] scale in capture.toml"
+        )
+
+
+def _doubt_scales(stage: StageRun, records: Sequence[FrameRecord]) -> None:
+    """A few views that are many times as bright as the others, or as dark."""
+    lit = [r for r in records if r.bright > 0]
+    if len(lit) < FEWEST_VIEWS:
+        return
+    usual = float(np.median([r.bright for r in lit]))
+    odd = [r for r in lit if not usual / OTHER_SCALE < r.bright < usual * OTHER_SCALE]
+    if 0 < len(odd) <= FEW * len(lit):
+        names = some(f"{Path(r.facts['file']).stem} ({r.bright / usual:.3g} times)" for r in odd)
+        stage.warn(
+            f"{stage.capture.root}: not as bright as the other views: {names}: check their exposure, and that all files were "
+            "exported on one scale (0..1, 0..255, codes)"
         )
 
 

@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 
 from pipeline.capture import LightStage, LightStageCamera
-from pipeline.capture.naming.files import some
+from pipeline.capture.naming.files import RAW_SUFFIXES, some
 from pipeline.engine.stage import StageRun
 from pipeline.errors import UserError
 from pipeline.formats.exr_frame import primaries_remark
-from pipeline.formats.images import picture_frame
+from pipeline.formats.image_parts import without_alpha
+from pipeline.formats.images import channel_names, picture_frame
 from pipeline.geometry.cameras import frame_of
 from pipeline.rig.frame_files import IN_DECODE
 from stages.calib.decode.clip_level import PlateauSearch, top_of
@@ -27,6 +28,8 @@ def index_light_stage(stage: StageRun) -> None:
     is not linear as it lies. Raises UserError."""
     light_stage = stage.capture.light_stage
     assert light_stage is not None
+    for camera in light_stage.cameras.values():
+        _refuse_other_channels(camera)
     radiometry = radiometry_of(stage, light_stage)
     frames = _looked_at(stage, light_stage) if radiometry is None else write_linear(stage, light_stage, radiometry)
     for first in (camera.cross[0] for camera in light_stage.cameras.values()):
@@ -46,6 +49,17 @@ def index_light_stage(stage: StageRun) -> None:
     stage.note("saturated_frames", frames.clipped_frames)
     table = _table(light_stage, stage.capture.root, frames)
     (stage.output / "olat.json").write_text(json.dumps(table, indent=1) + "\n")
+
+
+def _refuse_other_channels(camera: LightStageCamera) -> None:
+    """Raise UserError where one pass is grey and the other coloured: their brightnesses could not be compared."""
+    cross, parallel = camera.cross[0], camera.parallel[0]
+    if RAW_SUFFIXES & {cross.suffix.lower(), parallel.suffix.lower()}:
+        return
+    have, want = (len(without_alpha(channel_names(path, plain=True))) for path in (parallel, cross))
+    if have != want:
+        fault = f"has {have} colour channel{'s' * (have > 1)}, the crossed pass ({cross.name}) {want}"
+        raise UserError(parallel, fault, "export both passes alike")
 
 
 def _looked_at(stage: StageRun, light_stage: LightStage) -> LinearFrames:

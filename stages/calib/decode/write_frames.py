@@ -20,7 +20,7 @@ from pipeline.formats.images import HALF_MAX, write_exr, write_mask, write_png, 
 from pipeline.geometry.lens import FRAMES
 from stages.calib.decode.clip_level import clip_level
 from stages.calib.decode.frame_scan_kernel import count_unphysical, make_physical
-from stages.calib.decode.light_doubts import FrameRecord, doubt_light, polarised_at_all, share_below_zero
+from stages.calib.decode.light_doubts import FrameRecord, bright_light, doubt_light, polarised_at_all, share_below_zero
 from stages.calib.decode.noise import estimate_noise
 
 HALF_FAITHFUL = 2.0**-5
@@ -75,6 +75,7 @@ def _decode_one(source: ViewSource, stage: StageRun) -> tuple[str, FrameRecord]:
     saturated = _saturated(decoded, source)
     name = f"frames/{source.view}.exr"
     record.below_zero, record.polarised = share_below_zero(decoded.s0), polarised_at_all(decoded.stokes)
+    record.bright = bright_light(decoded.s0)
     if decoded.stokes is not None:
         survey = (make_physical if decoded.design is not None else count_unphysical)(decoded.stokes)
         record.negative, record.impossible, peak = survey.negative, survey.impossible, survey.peak

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.capture.light_stage.read_light_table import light_table_file
+from pipeline.capture.naming.files import count, some
 from pipeline.engine.stage import StageRun
 from pipeline.errors import UserError
 from pipeline.rig.light_table import LightTable
@@ -36,6 +37,7 @@ from stages.olat.evidence.light_frame import (
     spoken,
 )
 from stages.olat.evidence.light_table_faults import table_faults
+from stages.olat.evidence.odd_frames import ambient, odd_lights
 from stages.olat.evidence.outline import outward
 from stages.olat.evidence.pass_check import compare, pass_faults
 from stages.olat.pixel_fit.many_pixels import half_table
@@ -79,6 +81,8 @@ def check_capture(stage: StageRun, pilot: list[Piece], rig: LightTable) -> None:
         return
     stage.note("light_frame", explanation.as_json())
     say_frame(stage, explanation, rig.directions, sound_passes=doubt is None)
+    if explanation.order.name == "" and explanation.turn is None and doubt is None:
+        say_odd_frames(stage, samples.diffuse.mean(-1), rig)
     if explanation.fits and explanation.there.total < WRONG and explanation.order.misfit > NOTED:
         glossy = pilot[0].job.passes in ("parallel", "none")
         say_brightness(stage, explanation.order, samples, rig.directions[explanation.order.lights], glossy)
@@ -192,6 +196,22 @@ def say_frame(stage: StageRun, explanation: Explanation, w: NDArray[np.float64],
     wrong = not explanation.fits or here.total > FAR or here.highlight > TURNED_RAD + SPACING * spacing(w)
     if remedies or (wrong and sound_passes):
         stage.warn(f"{table}: the light table does not fit the frames ({how}): {', and '.join(remedies) or unknown}")
+
+
+def say_odd_frames(stage: StageRun, light: NDArray[np.float64], rig: LightTable) -> None:
+    """A line for single lights that are not where the table has them, and for light that is in every frame."""
+    table, index = _table_name(stage), np.arange(len(rig)) if rig.index is None else rig.index
+    if odd := odd_lights(light, rig.directions):
+        named = some(str(index[k]) for k in odd)
+        stage.warn(
+            f"{table}: the frames of {count(odd, 'light')} ({named}) do not fit, while the others do: exchanged, or measured "
+            "wrong? Mend these rows, or take them out"
+        )
+    if share := ambient(light, rig.directions):
+        stage.warn(
+            f"{stage.capture.root}: every frame holds light ({100 * share:.0f} % of a light's own) whichever light is on: name "
+            "a frame without any light as radiometry.dark_frame in capture.toml, or a black_level"
+        )
 
 
 def say_brightness(stage: StageRun, order: Order, samples: Seen, w: NDArray[np.float64], glossy: bool = False) -> None:

@@ -9,6 +9,8 @@ from pipeline.capture.naming.files import some
 from pipeline.rig.light_table import LightTable
 
 SAME_RAD = 1e-4  # between two lights of one place: tables are printed with four digits or more
+UNIT = 1e-3
+"""By how much lengths of directions are off 1."""
 NARROW = 5.0
 """Condition number of the lights' directions from which noise across them is amplified that much: 1 all around, 3 for lights
 within 35 degrees of their middle, 5 within 22 degrees, endless in one plane."""
@@ -38,6 +40,11 @@ def table_faults(lights: LightTable, near: bool) -> tuple[str | None, list[str]]
     if np.all(np.linalg.norm(direction - direction[0], axis=1) < SAME_RAD):
         return f"all {len(lights)} lights lie in one direction, which tells no normal", []
     doubts = []
+    if near and np.allclose(np.linalg.norm(lights.positions, axis=1), 1, atol=UNIT):
+        doubts.append(
+            "every light is 1 world unit from the stage's centre, as directions are, but olat.near_light = true takes them for "
+            "places: give the lights' positions in world units, or take near_light out"
+        )
     if pairs:
         named = some(f"{a + 1} and {b + 1}" for a, b in pairs)
         doubts.append(

@@ -14,19 +14,26 @@ EQUAL = 1e-3  # of the crossed light, mean difference of the samples: half float
 STRANGE = 0.05
 """Of the crossed light, what the parallel pass lacks light by light (means over the pixels, so that noise is gone): lamps that
 flicker make a percent or two."""
+UNEVEN = 1.15
+"""Parallel over crossed light where that is least, from which the passes differ in exposure: away from highlights both hold
+half of the diffuse light, and filters of one kind differ by a few percent."""
+LIT = 0.3  # of a pixel's brightest crossed sample: above it that is no noise
+STEADY = 1.04  # third decile of the ratio over the first: one exposure is one factor, highlights are not
 CONSTANT = 0.02  # spread of a pixel's samples over their mean below which no light changes it
 
 
 @dataclass(frozen=True)
 class Passes:
     """Figures of two passes: parallel over crossed light; difference of the samples, and light that is missing from the
-    parallel pass, as it is and with its lights in the reverse order, over the crossed light; share of pixels without change."""
+    parallel pass, as it is and with its lights in the reverse order, over the crossed light; share of pixels without change;
+    parallel over crossed light away from highlights (1 where that is no single factor)."""
 
     ratio: float
     difference: float
     missing: float
     missing_reversed: float
     constant: float
+    floor: float = 1.0
 
 
 def compare(cross: NDArray[np.float32], parallel: NDArray[np.float32]) -> Passes:
@@ -41,8 +48,16 @@ def compare(cross: NDArray[np.float32], parallel: NDArray[np.float32]) -> Passes
     steady = [x.std(0) < CONSTANT * np.abs(x.mean(0)) for x in (cross, parallel)]
     return Passes(
         float(p.sum() / level), float(np.abs(parallel - cross).sum() / total), missing(p), missing(p[::-1]),
-        float(np.mean(steady[0] & steady[1])),
+        float(np.mean(steady[0] & steady[1])), _floor(cross, parallel),
     )  # fmt: skip
+
+
+def _floor(cross: NDArray[np.float32], parallel: NDArray[np.float32]) -> float:
+    lit = (cross > LIT * cross.max(0)) & (cross > 0)
+    if not lit.any():
+        return 1.0
+    low, middle = np.percentile(parallel[lit] / cross[lit], (10, 30))
+    return float(middle) if low > 0 and middle < STEADY * low else 1.0
 
 
 def pass_faults(found: Passes, alone: bool = False) -> tuple[str | None, str | None]:
@@ -65,6 +80,12 @@ def pass_faults(found: Passes, alone: bool = False) -> tuple[str | None, str | N
         return None, (
             "the crossed and the parallel pass are equal: unpolarised frames given as both? Highlights are then taken for "
             "diffuse light, and there is no specular map; photograph both passes behind polarisers for one"
+        )
+    if found.floor > UNEVEN:
+        return None, (
+            f"the parallel pass is {found.floor:.2f} times the crossed one even away from highlights, where both hold half of "
+            "the diffuse light: were they exposed alike? Give both one exposure (radiometry.exposure_s), or specular maps hold "
+            "diffuse light"
         )
     if found.missing > STRANGE:
         return None, _order(" in the reverse order" if found.missing_reversed < 0.5 * found.missing else "")

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import torch
 
@@ -13,17 +11,16 @@ from pipeline.shading.gridmap import GridMap, nearest_albedo
 from pipeline.shading.occluded import LEAST_BLOCKED, blocked_share
 
 from ..parameters import TrainParameters
-from ..pixel_attributes import LEAST_ALPHA
 from ..render_view import GBuffer
 from ..scene import Scene
 from ..splats.gaussians import ROUGHNESS_FLOOR, Splats
-from ..splats.splat_occlusion import LIFT, CarriedHull
+from ..splats.splat_occlusion import LIFT
 from ..views.view import View
 from .harmonics import towards_mirror
+from .mirrored_rays import MirroredRays, everywhere, shown_surface
 from .pixel_light import GridLight, LearntLight
 
 GRIDMAP_EVERY = 300  # steps between two of them (PhyGaP 9.4)
-TILT = 0.05  # of a normal, by which the irradiance's slope is taken: half a texel of the diffuse level
 
 
 class Substitute:
@@ -44,6 +41,7 @@ class Substitute:
         occluder = Occluder(hull.vertices, hull.triangles, hull.normals)
         self.active = blocked_share(occluder) >= LEAST_BLOCKED
         if self.active:
+            self.mirrors = MirroredRays(hull, LIFT * self.scene.linked().spacing, self.parameters.seed)
             self.prepare(occluder, light, splats)
 
     def prepare(self, occluder: Occluder, light: LightField, splats: Splats) -> None:
@@ -76,32 +74,18 @@ class LocalEnvironments(Substitute):
     @torch.no_grad()
     def at(self, view: View, gbuffer: GBuffer, follows: bool = False) -> Occlusion:
         """Look the anchors up at a view's pixels."""
-        rows, points, normals, towards = shown_surface(view, gbuffer)
-        roughness = gbuffer.roughness[rows].clamp(ROUGHNESS_FLOOR, 1).cpu().numpy()
-        weight, blocked = self.grid.blend(points), mirror_blocked(self.scene, points, normals, towards)
-        found = self.grid.occlusion(points, normals, towards, roughness, self.light, blocked, weight)
-
-        def everywhere(values: torch.Tensor) -> torch.Tensor:
-            out = torch.zeros(len(gbuffer.alpha), *values.shape[1:], device=rows.device)
-            return out.index_copy_(0, rows, values.to(rows.device))
-
-        bounced, unblocked, seen = (everywhere(x) for x in (found.bounced, found.unblocked, found.seen))
-        shadow = torch.zeros_like(bounced)  # all light comes from the anchors
+        at, alpha = shown_surface(view, gbuffer), gbuffer.alpha
+        roughness = gbuffer.roughness.detach().clamp(ROUGHNESS_FLOOR, 1).cpu().numpy()[at.rows]
+        blocked = self.mirrors.blocked(at)
+        mirrored = self.grid.mirrored(at.points, at.mirrored, roughness, np.flatnonzero(blocked), self.light)
+        unblocked, seen = everywhere(~blocked, at.rows, alpha), everywhere(mirrored, at.rows, alpha)
+        shadow = torch.zeros_like(seen)  # all light comes from the anchors
         if not follows:
-            return Occlusion(shadow, bounced, unblocked, seen)
-        slope = everywhere(torch.as_tensor(self._slope(weight, normals, found.bounced.numpy())))
-        return GridLight(shadow, bounced, unblocked, seen, everywhere(torch.as_tensor(normals)), slope)
-
-    def _slope(self, weight: np.ndarray, normal: np.ndarray, here: np.ndarray) -> np.ndarray:
-        """Change [P, 3, 3] of the irradiance with the normal, across it; weight [P, A]: of the anchors."""
-        slope = np.zeros((len(normal), 3, 3), np.float32)
-        helper = np.eye(3, dtype=np.float32)[np.abs(normal).argmin(-1)]
-        first = np.cross(helper, normal)
-        first /= np.maximum(np.linalg.norm(first, axis=-1, keepdims=True), 1e-12)
-        for axis in (first, np.cross(normal, first)):
-            there = self.grid.received(weight, normal + TILT * axis, self.light)
-            slope += axis[:, :, None] * ((there - here) / TILT)[:, None]
-        return slope
+            received = self.grid.received(at.points, at.normals, self.light)
+            return Occlusion(shadow, everywhere(received, at.rows, alpha), unblocked, seen)
+        found = (*self.grid.received_and_slope(at.points, at.normals, self.light), at.normals)
+        bounced, slope, normal = (everywhere(values, at.rows, alpha) for values in found)
+        return GridLight(shadow, bounced, unblocked, seen, normal, slope)
 
 
 class LearntHarmonics(Substitute):
@@ -114,9 +98,8 @@ class LearntHarmonics(Substitute):
     @torch.no_grad()
     def at(self, view: View, gbuffer: GBuffer, follows: bool = False) -> Occlusion:
         """Which pixels mirror the object."""
-        rows, *surface = shown_surface(view, gbuffer)
-        unblocked = torch.ones(len(gbuffer.alpha), device=rows.device)
-        unblocked[rows[torch.as_tensor(mirror_blocked(self.scene, *surface), device=rows.device)]] = 0
+        at = shown_surface(view, gbuffer)
+        unblocked = 1 - everywhere(self.mirrors.blocked(at), at.rows, gbuffer.alpha)
         ones, zeros = (torch.full((len(unblocked), 3), v, device=unblocked.device) for v in (1.0, 0.0))
         return LearntLight(ones, zeros, unblocked, zeros)
 
@@ -125,25 +108,3 @@ def substitute(scene: Scene, parameters: TrainParameters) -> Substitute | None:
     """What `train.indirect` puts in the place of traced light; None for "traced" and "none"."""
     kinds: dict[str, type[Substitute]] = {"gridmap": LocalEnvironments, "sh": LearntHarmonics}
     return kinds[parameters.indirect](scene, parameters) if parameters.indirect in kinds else None
-
-
-def shown_surface(view: View, gbuffer: GBuffer) -> tuple[torch.Tensor, np.ndarray, np.ndarray, np.ndarray]:
-    """Which of a view's pixels show the object [K], and their positions, normals and directions to the camera [K, 3]."""
-    rows = torch.nonzero(gbuffer.alpha.detach() > LEAST_ALPHA)[:, 0]
-    small = replace(view, view_direction=view.view_direction[rows])
-    depth = gbuffer.raster.depth_expected.detach().reshape(-1)[view.pixels[rows]] / gbuffer.alpha.detach()[rows]
-    tensors = (small.points_at(depth), gbuffer.normal.detach()[rows], small.view_direction)
-    points, normals, towards = (t.cpu().numpy() for t in tensors)
-    return rows, points, normals, towards
-
-
-def mirror_blocked(scene: Scene, points: np.ndarray, normals: np.ndarray, towards: np.ndarray) -> np.ndarray:
-    """Whether each point's mirror ray meets the object [P]: "invisible", as Ref-Gaussian and PhyGaP call it."""
-    hull: CarriedHull | None = scene.occluder
-    assert hull is not None
-    mirrored = 2 * np.einsum("pk,pk->p", normals, towards)[:, None] * normals - towards
-    origins = points + LIFT * scene.linked().spacing * normals
-    met = hull.rays.blocked(origins, mirrored)  # by whichever side: cheap
-    rows = np.flatnonzero(met)
-    met[rows], _ = hull.cast(origins[rows], mirrored[rows])
-    return met
