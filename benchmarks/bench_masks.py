@@ -1,4 +1,4 @@
-"""Masks: IoU with the truth against run time, for every method on captures whose masks are known.
+"""Masks: IoU with the truth against processor time, for every method on captures whose masks are known.
 
 usage: python benchmarks/bench_masks.py [--captures DIR] [--only NAME ...] [--out benchmarks/results]
 
@@ -72,9 +72,9 @@ def multiview_rows(root: Path) -> list[dict]:
         methods["clean plate"] = lambda: [difference_mask(a, b) for a, b in zip(images, plates)]
     segment(images[:4], cameras[:4], {}, 64)  # compiled before it is timed
     for method, run in methods.items():
-        start = time.perf_counter()
+        start = time.process_time()
         masks = run() or []
-        rows.append(scored(root.name, method, masks, truth, time.perf_counter() - start))
+        rows.append(scored(root.name, method, masks, truth, time.process_time() - start))
     return rows
 
 
@@ -84,9 +84,9 @@ def light_stage_rows(root: Path) -> list[dict]:
     assert capture.light_stage is not None
     cameras = [c for c in capture.light_stage.cameras.values() if c.mask is not None]
     run = StageRun(capture, MasksParameters(), {}, root, root, progress=Progress(io.StringIO()), jobs=2)
-    start = time.perf_counter()
+    start = time.process_time()
     masks = [light_stage_matte(camera, run) > 127 for camera in cameras]
-    seconds = time.perf_counter() - start
+    seconds = time.process_time() - start
     return [scored(root.name, "matte", masks, [read_mask(c.mask) for c in cameras if c.mask is not None], seconds)]
 
 
@@ -132,7 +132,7 @@ def background(capture: Capture, camera: Camera) -> np.ndarray:
 
 
 def figure(rows: list[dict], path: Path) -> None:
-    """1 - IoU against seconds a view, one mark a method and capture."""
+    """1 - IoU against processor seconds a view, one mark a method and capture."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -148,7 +148,7 @@ def figure(rows: list[dict], path: Path) -> None:
     for capture in captures:
         axes.plot([], [], "osD^v"[captures.index(capture)], color="grey", label=capture)
     axes.axhline(0.05, color="black", linewidth=0.8, linestyle="--", label="IoU 0.95")
-    axes.set(xlabel="run time (s per view)", ylabel="1 - mean IoU", title="Mask methods")
+    axes.set(xlabel="processor time (s a view)", ylabel="1 - mean IoU", title="Mask methods")
     axes.xaxis.set_minor_formatter("")  # they would run into each other
     axes.grid(True, which="both", alpha=0.3)
     axes.legend(fontsize=7, ncols=2)

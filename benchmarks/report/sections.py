@@ -25,7 +25,7 @@ def decode(stored: dict[str, Any]) -> Section:
 
 def masks(stored: list[dict[str, Any]]) -> Section:
     """Every way to an object's mask."""
-    points, rows = [], [["capture", "method", "IoU, mean", "IoU, least", "s a view"]]
+    points, rows = [], [["capture", "method", "IoU, mean", "IoU, least", "processor time, s a view"]]
     for row in stored:
         own = row["method"] in ("all views together", "matte")
         points.append(Point(row["capture"], row["method"], row["s_per_view"], 1 - row["iou_mean"], own))
@@ -33,7 +33,7 @@ def masks(stored: list[dict[str, Any]]) -> Section:
         rows.append([row["capture"], row["method"], *(number(f) for f in figures)])
     return Section(
         "Masks", "Segmentation against known masks, with a background put behind the object.", rows,
-        [("masks", points, "seconds a view", "1 - IoU")],
+        [("masks", points, "processor seconds a view", "1 - IoU")],
     )  # fmt: skip
 
 

@@ -13,8 +13,11 @@ from numpy.typing import NDArray
 class RayHits:
     """Where R rays meet a mesh first.
 
-    distance [R]: along unit directions, infinite for a miss; of hits: triangle [R], the weights [R, 2] of its second and third
-    corner, and its normal [R, 3] by its winding.
+    Fields:
+        distance: along unit directions, infinite for a miss. [R]
+        triangle: its number, of hits. [R]
+        uv: weights of the triangle's second and third corner. [R, 2]
+        normal: the triangle's, by its winding. [R, 3]
     """
 
     distance: NDArray[np.float32]

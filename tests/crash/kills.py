@@ -26,6 +26,7 @@ HERE = Path(__file__).parent
 AGAIN = 0.75  # chance that what a kill left is killed once more before it is mended
 COMMANDS = ("all", "all", "all", "gc", "verify", "repair")
 MOST = 6
+LONGER = 1.03  # by which a command is taken to last longer, each time that it did not end before its kill
 SHARES = {"stub": 0.2, "real": 0.4, "stage": 0.34, "colmap": 0.06}
 """Of the kills, by scene: a run of COLMAP takes seconds."""
 
@@ -65,12 +66,13 @@ def wait_for_group(group: int) -> None:
         time.sleep(0.002)
 
 
-def killed(work: Callable[[], int], log: Path, after_s: float, dice: random.Random) -> bool:
-    """Start `work` and kill it, or one of its processes alone, after a while; whether it still ran then."""
-    group = begun(work, log)
-    time.sleep(after_s)
-    running = os.waitpid(group, os.WNOHANG)[0] == 0
-    if running:
+def killed(work: Callable[[], int], log: Path, after_s: float, dice: random.Random) -> float | None:
+    """Start `work` and kill it, or one of its processes alone, after a while; what it took where it had ended by then."""
+    group, began, took = begun(work, log), time.monotonic(), None
+    while took is None and time.monotonic() - began < after_s:
+        time.sleep(0.002)
+        took = time.monotonic() - began if os.waitpid(group, os.WNOHANG)[0] else None
+    if took is None:
         victims = members(group) if dice.random() < 0.25 else []
         if len(victims) > 1:
             os.kill(dice.choice(victims), signal.SIGKILL)
@@ -80,7 +82,7 @@ def killed(work: Callable[[], int], log: Path, after_s: float, dice: random.Rand
             os.kill(group, signal.SIGKILL)
         os.waitpid(group, 0)
     wait_for_group(group)
-    return running
+    return took
 
 
 class Kills:
@@ -123,7 +125,8 @@ class Kills:
         from forks import status_of
         from states import results
 
-        command, kills = self.dice.choice(COMMANDS), 0
+        command = self.dice.choice(COMMANDS)
+        kills, fresh = 0, True
         dataset = self.base / "one" / "d"
         shutil.rmtree(dataset.parent, ignore_errors=True)
         if command == "all":
@@ -132,7 +135,11 @@ class Kills:
             shutil.copytree(self.spare, dataset, symlinks=True)
         self.log.unlink(missing_ok=True)
         while kills < MOST:
-            kills += killed(self.work(command, dataset), self.log, self.dice.random() * self.seconds[command], self.dice)
+            took = killed(self.work(command, dataset), self.log, self.dice.random() * self.seconds[command], self.dice)
+            kills += took is None
+            if fresh:  # what is left over of a run takes less; the machine's load changes meanwhile
+                self.seconds[command] *= LONGER if took is None else 0.5 * (1 + took / self.seconds[command])
+                fresh = False
             if self.dice.random() > AGAIN:
                 break
             command = "all"

@@ -73,10 +73,15 @@ static int of_handle(int fd) {
   return below(AT_FDCWD, whole);
 }
 
+/* What a program gives to a buffered stream, in words of a few bytes as OpenEXR does, comes to the disk a buffer at a time. */
+static __thread FILE *filled;
+static __thread size_t held;
+
 /* The change is about to happen: 0 to go on, -1 (with errno) to fail. `grows`: a full disk refuses it. */
 static int change(int grows) {
   long n = __atomic_add_fetch(count, 1, __ATOMIC_SEQ_CST);
   char byte = 0;
+  filled = 0;
   if (asked >= 0 && syscall(SYS_write, asked, &byte, 1) == 1) while (syscall(SYS_read, granted, &byte, 1) < 0 && errno == EINTR) {}
   if (n == at && mode == 1) syscall(SYS_exit_group, 137);
   if (n == at && mode == 2) { errno = EIO; return -1; }
@@ -157,7 +162,14 @@ ON_HANDLE(ssize_t, pwritev, (int fd, const struct iovec *v, int n, off_t o), fd,
 ON_HANDLE(int, fallocate, (int fd, int f, off_t o, off_t n), fd, f, o, n)
 size_t fwrite(const void *data, size_t size, size_t n, FILE *stream) {
   NEXT(size_t(const void *, size_t, size_t, FILE *), fwrite);
-  if (length && of_handle(fileno(stream)) && change(1)) return 0;
+  if (length && of_handle(fileno(stream))) {
+    if (filled != stream || held + size * n > 4096) {
+      if (change(1)) return 0;
+      filled = stream;
+      held = 0;
+    }
+    held += size * n;
+  }
   return fwrite_(data, size, n, stream);
 }
 #define SYNC(name)                                                                        \
