@@ -52,43 +52,39 @@ def write_pixels(path: Path, pixels: np.ndarray, kind: str, names: list[str], at
     out = oiio.ImageOutput.create(str(path))
     if out is None:
         raise write_fault(path, reason_of(oiio))
-    if path.suffix.lower() == ".exr":
-        if not _encode(out, str(path), spec, pixels, kind):
-            raise write_fault(path, reason_of(out))
-        return
-    # OpenImageIO takes a PNG that could not be written to its end for written: made in memory, written by what tells.
+    # OpenImageIO takes a file that could not be written to its end for written: made in memory, written by what tells.
     in_memory = _in_memory if hasattr(os, "memfd_create") else _in_temporary_folder
     try:
-        content = in_memory(lambda name: _encode(out, name, spec, pixels, kind), path.name)
-        if content is None:
+        if not in_memory(lambda name: _encode(out, name, spec, pixels, kind), path):
             raise write_fault(path, reason_of(out))
-        path.write_bytes(content)
     except OSError as error:
         raise write_fault(path, error.strerror or str(error)) from error
 
 
-def _in_memory(encode: Callable[[str], bool], name: str) -> bytes | None:
-    """What `encode` writes to the file it is told; None where it fails. The file is memory alone (Linux)."""
-    handle = os.memfd_create(name)
+def _in_memory(encode: Callable[[str], bool], path: Path) -> bool:
+    """Write to `path` what `encode` writes to the file it is told; whether it did. That file is memory alone (Linux)."""
+    handle = os.memfd_create(path.name[:100])
     try:
         if not encode(f"/proc/self/fd/{handle}"):
-            return None
+            return False
         os.lseek(handle, 0, os.SEEK_SET)
-        with open(handle, "rb", closefd=False) as stream:
-            return stream.read()
+        with open(handle, "rb", closefd=False) as stream, path.open("wb") as out:
+            shutil.copyfileobj(stream, out, 1 << 20)
+        return True
     finally:
         os.close(handle)
 
 
-def _in_temporary_folder(encode: Callable[[str], bool], name: str) -> bytes | None:
+def _in_temporary_folder(encode: Callable[[str], bool], path: Path) -> bool:
     """As `_in_memory`, where there are no such files: on disk, and read again, as a full disk is told by nothing else."""
     with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / name
+        file = Path(folder) / path.name
         again = oiio_library().ImageInput.open(str(file)) if encode(str(file)) else None
         if again is None or again.read_image() is None:
-            return None
+            return False
         again.close()
-        return file.read_bytes()
+        path.write_bytes(file.read_bytes())
+        return True
 
 
 def _encode(out, name: str, spec, pixels: np.ndarray, kind: str) -> bool:

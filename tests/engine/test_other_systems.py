@@ -54,7 +54,7 @@ def test_a_picture_cut_short_by_a_full_disk_is_told_without_files_in_memory(tmp_
             stream.truncate(1500)
         return True
 
-    assert image_output._in_temporary_folder(cut, "x.png") is None
+    assert not image_output._in_temporary_folder(cut, tmp_path / "x.png") and not list(tmp_path.iterdir())
 
 
 def test_memory_is_measured_without_proc(tmp_path, monkeypatch):
