@@ -1,4 +1,4 @@
-"""Files that a C library would complain of by itself: truncated ones, by their own structure, and garbled names."""
+"""Files that a C library takes for whole, or complains of by itself only: by their own structure, and by garbled names."""
 
 from __future__ import annotations
 
@@ -17,6 +17,8 @@ OFFSETS_OF = {273: 279, 324: 325}
 DIRECTORIES = (330, 34665)
 SIZES = {3: 2, 4: 4, 13: 4}
 MOST_DIRECTORIES = 64
+LARGEST_HEADER = 1 << 20
+"""Bytes of an EXR in which its header ends."""
 BLANK = 64
 """Bytes of zeros that no image format begins with: DICOM has 128, and then no picture that is read here."""
 
@@ -57,6 +59,35 @@ def refuse_truncated(path: Path) -> None:
             return
     if short:
         raise UserError(path, f"the file is truncated ({size} bytes)", "copy it again from its source")
+
+
+def exr_chunks_in_place(path: Path, height: int, rows: int) -> bool:
+    """Look whether the table of a scan-line EXR names every chunk where it lies: OpenEXR makes a lost one up without a word.
+
+    Args:
+        path: the file.
+        height: of the image, whose first row is number 0.
+        rows: scan lines in a chunk.
+
+    Returns:
+        Whether it does; False where the file ends before.
+    """
+    with path.open("rb") as file:
+        head, at = file.read(LARGEST_HEADER), 8
+        while at < len(head) and head[at]:
+            kind = head.find(b"\0", at) + 1
+            size = head.find(b"\0", kind) + 1
+            at = size + 4 + int.from_bytes(head[size : size + 4], "little")
+        first = range(0, height, rows)
+        file.seek(at + 1)
+        table = file.read(8 * len(first))
+        if len(table) < 8 * len(first):
+            return False
+        for row, offset in zip(first, struct.unpack(f"<{len(first)}Q", table)):
+            file.seek(min(offset, 1 << 62))
+            if file.read(4) != struct.pack("<i", row):
+                return False
+    return True
 
 
 def _jpeg_ends(file: BinaryIO) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import TracebackType
@@ -10,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.formats.image_output import write_fault
+from pipeline.formats.truncation import exr_chunks_in_place
 from stages.olat.pixel_fit.result_layout import MAPS, ON_REQUEST, map_slices
 from stages.olat.reading.scanline_bands import Band
 
@@ -19,6 +21,8 @@ SHOWN = ("sigma", "residual")
 """Maps of two numbers: these stand as R and G (half floats, B 0) beside the named channels, for programs that would show a
 picture's Y alone."""
 PREVIEW = 480  # pixels of a preview's longer side
+READ_ROWS = 256  # looked at again at a time
+CHUNK_ROWS = 16  # that zip compresses together
 
 
 class MapWriter:
@@ -30,7 +34,7 @@ class MapWriter:
 
         self.folder, self.width, self.height, self.row = folder, width, height, 0
         folder.mkdir(parents=True, exist_ok=True)
-        self.files = {}
+        self.files, self.sums = {}, dict.fromkeys(MAPS, 0)
         for name, channels in MAPS.items():
             if name in ON_REQUEST and name not in asked:
                 continue
@@ -64,6 +68,26 @@ class MapWriter:
         for name, out in self.files.items():
             if not out.close():
                 raise write_fault(self.folder / f"{name}.exr", out.geterror().strip())
+        for name in self.files:
+            self._look_again(name)
+
+    def _look_again(self, name: str) -> None:
+        """Read a finished map: OpenImageIO takes a file for written of which a part was not. Raises UserError then."""
+        import OpenImageIO as oiio
+
+        path, found = self.folder / f"{name}.exr", 0
+        image = oiio.ImageInput.open(str(path))
+        for top in range(0, self.height if image is not None else 0, READ_ROWS):
+            bottom = min(top + READ_ROWS, self.height)
+            names = image.spec().channelnames  # of which OpenImageIO puts R, G, B first
+            rows = image.read_scanlines(top, bottom, 0, 0, len(names), "half" if name in COARSE else "float")
+            if rows is None:
+                break
+            found = zlib.crc32(np.ascontiguousarray(rows[..., [names.index(c) for c in MAPS[name]]]), found)
+        if image is None or found != self.sums[name] or not exr_chunks_in_place(path, self.height, CHUNK_ROWS):
+            said = (image.geterror() if image is not None else oiio.geterror()).strip()
+            raise write_fault(path, said or "what it holds is not what was written")
+        image.close()
 
     def __enter__(self) -> MapWriter:
         """The writer itself."""
@@ -84,7 +108,8 @@ class MapWriter:
         top = self.row
 
         def write(name: str, place: slice) -> None:
-            part = np.ascontiguousarray(strip[..., place])
+            part = np.ascontiguousarray(strip[..., place], np.float16 if name in COARSE else np.float32)
+            self.sums[name] = zlib.crc32(part, self.sums[name])
             if name in SHOWN:
                 part = np.concatenate([part, part, np.zeros_like(part[..., :1])], -1)
             if not self.files[name].write_scanlines(top, top + len(strip), 0, part):
