@@ -10,7 +10,7 @@ from types import TracebackType
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.formats.image_output import write_fault
+from pipeline.formats.image_output import reason_of, write_fault
 from pipeline.formats.truncation import exr_chunks_in_place
 from stages.olat.pixel_fit.result_layout import MAPS, ON_REQUEST, map_slices
 from stages.olat.reading.scanline_bands import Band
@@ -77,17 +77,19 @@ class MapWriter:
 
         path, found = self.folder / f"{name}.exr", 0
         image = oiio.ImageInput.open(str(path))
-        for top in range(0, self.height if image is not None else 0, READ_ROWS):
+        if image is None:
+            raise write_fault(path, reason_of(oiio))
+        names = image.spec().channelnames  # of which OpenImageIO puts R, G, B first
+        own = [names.index(channel) for channel in MAPS[name]]
+        for top in range(0, self.height, READ_ROWS):
             bottom = min(top + READ_ROWS, self.height)
-            names = image.spec().channelnames  # of which OpenImageIO puts R, G, B first
             rows = image.read_scanlines(top, bottom, 0, 0, len(names), "half" if name in COARSE else "float")
             if rows is None:
-                break
-            found = zlib.crc32(np.ascontiguousarray(rows[..., [names.index(c) for c in MAPS[name]]]), found)
-        if image is None or found != self.sums[name] or not exr_chunks_in_place(path, self.height, CHUNK_ROWS):
-            said = (image.geterror() if image is not None else oiio.geterror()).strip()
-            raise write_fault(path, said or "what it holds is not what was written")
+                raise write_fault(path, reason_of(image))
+            found = zlib.crc32(np.ascontiguousarray(rows[..., own]).data, found)
         image.close()
+        if found != self.sums[name] or not exr_chunks_in_place(path, self.height, CHUNK_ROWS):
+            raise write_fault(path, "what it holds is not what was written")
 
     def __enter__(self) -> MapWriter:
         """The writer itself."""
@@ -109,7 +111,7 @@ class MapWriter:
 
         def write(name: str, place: slice) -> None:
             part = np.ascontiguousarray(strip[..., place], np.float16 if name in COARSE else np.float32)
-            self.sums[name] = zlib.crc32(part, self.sums[name])
+            self.sums[name] = zlib.crc32(part.data, self.sums[name])
             if name in SHOWN:
                 part = np.concatenate([part, part, np.zeros_like(part[..., :1])], -1)
             if not self.files[name].write_scanlines(top, top + len(strip), 0, part):
