@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from pipeline.geometry.frame_kernel import frame_across
 from pipeline.kernels.compiling import kernel
 from pipeline.kernels.simd import LANES, load, spread, store, store_totals, take_ticket
 
@@ -83,8 +84,7 @@ def receive(
             out[p, 0], out[p, 1], out[p, 2] = here
             if len(slope) == 0:
                 continue
-            ux, uy, uz = _across(x, y, z)
-            vx, vy, vz = y * uz - z * uy, z * ux - x * uz, x * uy - y * ux
+            ux, uy, uz, vx, vy, vz = frame_across(x, y, z)
             u = _blend(tables, start, texels(x + tilt * ux, y + tilt * uy, z + tilt * uz, size, index, 0), weight)
             v = _blend(tables, start, texels(x + tilt * vx, y + tilt * vy, z + tilt * vz, size, index, 0), weight)
             for c in range(3):
@@ -92,20 +92,6 @@ def receive(
                 slope[p, 0, c] = ux * along + vx * other
                 slope[p, 1, c] = uy * along + vy * other
                 slope[p, 2, c] = uz * along + vz * other
-
-
-@kernel(nogil=True, fastmath=MATH, error_model="numpy")
-def _across(x, y, z):
-    """A unit vector across a unit vector, and across the axis that it lies along least."""
-    a, b, c = abs(x), abs(y), abs(z)
-    if a <= b and a <= c:
-        ux, uy, uz = _ZERO, -z, y
-    elif b <= c:
-        ux, uy, uz = z, _ZERO, -x
-    else:
-        ux, uy, uz = -y, x, _ZERO
-    inverse = _ONE / max(np.sqrt(ux * ux + uy * uy + uz * uz), np.float32(1e-12))
-    return ux * inverse, uy * inverse, uz * inverse
 
 
 @kernel(nogil=True, fastmath=MATH, error_model="numpy")

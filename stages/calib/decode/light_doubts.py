@@ -47,19 +47,23 @@ class FrameRecord:
 
 def share_below_zero(light: NDArray[np.float32]) -> float:
     """How much light [H, W, 3] lies below 0, of that above; pixels count by their colours' mean, and large images by a part."""
-    step = max(1, min(light.shape[:2]) // LOOKED_AT)
-    mean = light[::step, ::step].mean(-1, dtype=np.float64)
-    mean = mean[np.isfinite(mean)]
+    mean = _finite_means(light)
     above = float(np.maximum(mean, 0).sum())
     return float(-np.minimum(mean, 0).sum()) / above if above > 0 else 0.0
 
 
 def bright_light(light: NDArray[np.float32]) -> float:
     """What a tenth of the lit pixels of light [H, W, 3] exceed (the colours' mean; of large images a part); 0 where none is."""
+    mean = _finite_means(light)
+    lit = mean[mean > 0]
+    return float(np.percentile(lit, 90)) if lit.size else 0.0
+
+
+def _finite_means(light: NDArray[np.float32]) -> NDArray[np.float64]:
+    """The colours' means over light [H, W, 3], of large images a part, where they are finite [M]."""
     step = max(1, min(light.shape[:2]) // LOOKED_AT)
     mean = light[::step, ::step].mean(-1, dtype=np.float64)
-    lit = mean[np.isfinite(mean) & (mean > 0)]
-    return float(np.percentile(lit, 90)) if lit.size else 0.0
+    return np.asarray(mean[np.isfinite(mean)])
 
 
 def polarised_at_all(stokes: NDArray[np.float32] | None) -> bool | None:

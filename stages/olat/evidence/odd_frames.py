@@ -16,6 +16,8 @@ FEW = 0.25
 BEHIND = -0.25
 """Cosine below which a light is surely behind the surface."""
 FEWEST_BEHIND = 4
+NO_LIGHT = 1e-30
+"""By which nothing is divided: far below any radiance of a frame."""
 AMBIENT, STEADY = 0.03, 0.35
 """Of a pixel's level, what is there without a light, and its spread over the lights: what bounces comes and goes with them."""
 
@@ -32,7 +34,7 @@ def odd_lights(light: NDArray[np.float64], w: NDArray[np.float64]) -> list[int]:
     """
     m, each = lambert(light, w)
     predicted = w @ m.T
-    lit = (light > LIT * np.maximum(light.max(0), 1e-30)) & np.isfinite(each)
+    lit = (light > LIT * np.maximum(light.max(0), NO_LIGHT)) & np.isfinite(each)
     misfit = np.full(len(w), np.nan)
     for k in np.nonzero(lit.sum(1) >= FEWEST)[0]:
         seen, told = light[k, lit[k]], predicted[k, lit[k]]
@@ -56,13 +58,13 @@ def ambient(light: NDArray[np.float64], w: NDArray[np.float64]) -> float:
     """
     m, each = lambert(light - np.minimum(light.min(0), 0), w)
     length = np.linalg.norm(m, axis=1)
-    normal = m / np.maximum(length, 1e-30)[:, None]
+    normal = m / np.maximum(length, NO_LIGHT)[:, None]
     behind = (w @ normal.T < BEHIND) & np.isfinite(each)
     enough = behind.sum(0) >= FEWEST_BEHIND
     if enough.sum() < FEWEST:
         return 0.0
     dark = np.where(behind, light, np.nan)[:, enough]
     level, spread = np.nanmean(dark, 0), np.nanstd(dark, 0)
-    share = float(np.median(level / np.maximum(length[enough], 1e-30)))
-    steady = float(np.median(spread / np.maximum(level, 1e-30)))
+    share = float(np.median(level / np.maximum(length[enough], NO_LIGHT)))
+    steady = float(np.median(spread / np.maximum(level, NO_LIGHT)))
     return share if share > AMBIENT and steady < STEADY else 0.0

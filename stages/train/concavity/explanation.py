@@ -12,8 +12,9 @@ from pipeline.optics import fresnel as optics
 from pipeline.shading import LightField
 from pipeline.shading.shading import body_transmission, mirror_reflection
 
+from ..octahedral_map import octahedral_directions
 from ..splats.gaussians import Splats
-from .explanation_kernel import LEAST_COSINE, explain, octahedral_directions
+from .explanation_kernel import LEAST_COSINE, explain
 from .samples import Observations
 
 NORMALS = 400  # directions tried first, 10 degrees apart; the best one is then refined to a degree

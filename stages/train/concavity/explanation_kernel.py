@@ -14,6 +14,8 @@ import numpy as np
 from pipeline.kernels.compiling import kernel
 from pipeline.kernels.simd import take_ticket
 
+from ..octahedral_map import octahedral_texel
+
 LEAST_COSINE = 0.03  # below it a normal turns the surface away from a view that sees it
 WORST = np.float32(0.3)  # encoded residual at which a view counts as wholly unexplained: a shadow, another surface in front
 WIDTH = np.float32(0.01)  # encoded residual below which the penalty is quadratic, as in the losses
@@ -25,35 +27,6 @@ CHUNK = 16  # points a ticket
 UNBLOCKED = 2
 
 
-def octahedral_directions(size: int) -> np.ndarray:
-    """Unit directions of the texels of an octahedral map, float32 [size, size, 3] (rows: z, columns: x)."""
-    t = (2 * np.arange(size) + 1) / size - 1
-    z, x = np.meshgrid(t, t, indexing="ij")
-    y = 1 - np.abs(x) - np.abs(z)
-    low = y < 0
-    folded_x = np.where(low, (1 - np.abs(z)) * np.where(x >= 0, 1, -1), x)
-    folded_z = np.where(low, (1 - np.abs(x)) * np.where(z >= 0, 1, -1), z)
-    d = np.stack([folded_x, y, folded_z], -1)
-    return (d / np.linalg.norm(d, axis=-1, keepdims=True)).astype(np.float32)
-
-
-@kernel(nogil=True, fastmath=True, error_model="numpy")
-def _texel(x, y, z, size):
-    """Row and column of a direction in the octahedral map."""
-    scale = np.float32(1) / (abs(x) + abs(y) + abs(z))
-    u, v = x * scale, z * scale
-    if y < 0:
-        u, v = (
-            (np.float32(1) - abs(v)) * (np.float32(1) if u >= 0 else np.float32(-1)),
-            (np.float32(1) - abs(u)) * (np.float32(1) if v >= 0 else np.float32(-1)),
-        )
-    half = np.float32(0.5 * size)
-    return (
-        min(max(int((v + np.float32(1)) * half), 0), size - 1),
-        min(max(int((u + np.float32(1)) * half), 0), size - 1),
-    )
-
-
 @kernel(nogil=True, fastmath=True, error_model="numpy")
 def _predict(nx, ny, nz, count, towards, axis_x, axis_y, mix, own, trust, irradiance, mirrored, angular, body, gloss, weight):
     """Every view's body and gloss [C, V] for one normal; weight [V] is 0 where it turns away. Returns the weight so lost."""
@@ -61,7 +34,7 @@ def _predict(nx, ny, nz, count, towards, axis_x, axis_y, mix, own, trust, irradi
     last = np.float32(len(angular) - 1)
     start, per = np.float32(LEAST_COSINE), np.float32(1 / (1 - LEAST_COSINE))
     two = np.float32(2)
-    i, j = _texel(nx, ny, nz, size)
+    i, j = octahedral_texel(nx, ny, nz, size)
     received0, received1, received2 = irradiance[i, j, 0], irradiance[i, j, 1], irradiance[i, j, 2]
     lost = np.float32(0)
     for k in range(count):
@@ -78,7 +51,7 @@ def _predict(nx, ny, nz, count, towards, axis_x, axis_y, mix, own, trust, irradi
         x = nx * axis_x[k, 0] + ny * axis_x[k, 1] + nz * axis_x[k, 2]
         y = nx * axis_y[k, 0] + ny * axis_y[k, 1] + nz * axis_y[k, 2]
         cos2, sin2 = x * x - y * y, two * x * y
-        i, j = _texel(two * c * nx - vx, two * c * ny - vy, two * c * nz - vz, size)
+        i, j = octahedral_texel(two * c * nx - vx, two * c * ny - vy, two * c * nz - vz, size)
         out, polarised, rho, across = angular[q, 0], angular[q, 1], angular[q, 2], -angular[q, 3]
         d0 = out * (own[k, 0] * received0 + own[k, 3])
         d1 = out * (own[k, 1] * received1 + own[k, 4])

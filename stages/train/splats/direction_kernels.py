@@ -6,22 +6,16 @@ import numpy as np
 
 from pipeline.kernels.compiling import kernel
 
+from ..octahedral_map import octahedral_texel
 from .splat_kernels import MATH
 
 BINS = 8  # a side of the square that directions are sorted into: its 64 cells are the bits of a number
-_ONE, _ZERO, _HALF_BINS, _TINY = np.float32(1), np.float32(0), np.float32(BINS / 2), np.float32(1e-30)
 
 
 @kernel(nogil=True, error_model="numpy", fastmath=MATH)
 def _bit(x, y, z):
-    """The bit of a direction: its cell of the octahedron unfolded to a square (Meyer et al. 2010)."""
-    inverse = _ONE / max(abs(x) + abs(y) + abs(z), _TINY)
-    u, v = x * inverse, y * inverse
-    if z < _ZERO:
-        a, b = _ONE - abs(v), _ONE - abs(u)
-        u, v = (a if u >= _ZERO else -a), (b if v >= _ZERO else -b)
-    i = min(max(int((u + _ONE) * _HALF_BINS), 0), BINS - 1)
-    j = min(max(int((v + _ONE) * _HALF_BINS), 0), BINS - 1)
+    """The bit of a direction: its texel of an octahedral map."""
+    j, i = octahedral_texel(x, z, y, BINS)
     return np.uint64(1) << np.uint64(BINS * i + j)
 
 

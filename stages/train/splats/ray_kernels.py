@@ -4,28 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from pipeline.geometry.frame_kernel import frame_across
 from pipeline.kernels.compiling import kernel
 
 from .splat_kernels import MATH
 
 _ONE, _ZERO, _TWO = np.float32(1), np.float32(0), np.float32(2)
-_LEAST_LENGTH = np.float32(1e-12)  # of a cross product of two axes that are never along each other: never met
 _TINY = np.float32(1e-30)  # -log(1 - u) is 0 at u = 0, and its root stays
-
-
-@kernel(nogil=True, error_model="numpy", fastmath=MATH)
-def _frame(x, y, z):
-    """Two unit vectors across a unit vector: the first across the axis that it lies along least."""
-    a, b, c = abs(x), abs(y), abs(z)
-    if a <= b and a <= c:
-        ux, uy, uz = _ZERO, -z, y
-    elif b <= c:
-        ux, uy, uz = z, _ZERO, -x
-    else:
-        ux, uy, uz = -y, x, _ZERO
-    inverse = _ONE / max(np.sqrt(ux * ux + uy * uy + uz * uz), _LEAST_LENGTH)
-    ux, uy, uz = ux * inverse, uy * inverse, uz * inverse
-    return ux, uy, uz, y * uz - z * uy, z * ux - x * uz, x * uy - y * ux
 
 
 @kernel(nogil=True, error_model="numpy", fastmath=MATH)
@@ -33,7 +18,7 @@ def turned_directions(local, normals, turn, out):
     """out [P, K, 3]: directions [K, 3] about z, turned about it by `turn` [P] and carried to the normals [P, 3]."""
     for p in range(len(normals)):
         nx, ny, nz = normals[p, 0], normals[p, 1], normals[p, 2]
-        ux, uy, uz, vx, vy, vz = _frame(nx, ny, nz)
+        ux, uy, uz, vx, vy, vz = frame_across(nx, ny, nz)
         c, s = np.cos(turn[p]), np.sin(turn[p])
         for k in range(len(local)):
             x = c * local[k, 0] - s * local[k, 1]
@@ -54,7 +39,7 @@ def lobe_directions(normals, view, roughness, u, angle, out, rise):
     for p in range(len(normals)):
         nx, ny, nz = normals[p, 0], normals[p, 1], normals[p, 2]
         wx, wy, wz = view[p, 0], view[p, 1], view[p, 2]
-        ux, uy, uz, vx, vy, vz = _frame(nx, ny, nz)
+        ux, uy, uz, vx, vy, vz = frame_across(nx, ny, nz)
         square = roughness[p] * roughness[p]
         for k in range(u.shape[1]):
             tan2 = -square * square * np.log(_ONE - u[p, k])
