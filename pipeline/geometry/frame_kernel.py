@@ -12,7 +12,14 @@ _LEAST_LENGTH = np.float32(1e-12)  # of a cross product of two axes that are nev
 
 @kernel(nogil=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz", "arcp"})
 def frame_across(x, y, z):
-    """Unit vectors u and v across a unit vector (ux, uy, uz, vx, vy, vz), u also across the axis that it lies along least."""
+    """Make a frame about a unit vector, without a singular direction.
+
+    Args:
+        x, y, z: of the vector.
+
+    Returns:
+        ux, uy, uz, vx, vy, vz: unit vectors across it and each other, u also across the axis that it lies along least.
+    """
     a, b, c = abs(x), abs(y), abs(z)
     if a <= b and a <= c:
         ux, uy, uz = _ZERO, -z, y
